@@ -71,7 +71,6 @@ setup(
                   f"{NAME}.analysis": ["page.html"], f"{NAME}.watch": ["page/*"],
                   f"{NAME}.analysis.report": ["*.html"],
                   f"{NAME}.analysis.calibration": ["page.html"],
-                  f"{NAME}.analysis.sizing": ["page.html"],
                   f"{NAME}.analysis.district": ["page.html"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),

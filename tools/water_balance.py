@@ -16,6 +16,7 @@ from __future__ import annotations
 import sys
 from dataclasses import dataclass
 
+import numpy as np
 import pandas as pd
 
 
@@ -130,8 +131,8 @@ def compare(sizes: object, weather: dict[str, pd.DataFrame], target: float) -> p
         target: water to keep on the roof (mm).
     """
     rows = []
-    for design in sizes.select(target, "none"):  # type: ignore[attr-defined]
-        site = design.site
+    site = sizes.site  # type: ignore[attr-defined]
+    for design in sizes.select(target=target, outlet="none"):  # type: ignore[attr-defined]
         onset = site.wilting_point + (1 - site.depletion_fraction) * (
             site.field_capacity - site.wilting_point
         )
@@ -144,7 +145,7 @@ def compare(sizes: object, weather: dict[str, pd.DataFrame], target: float) -> p
         stored = design.volume * (0.5 - site.mains_level / site.z_o)
         rows.append({
             "volume_m3": design.volume,
-            "size": sizes.spread("demand_met_share", design).mean,  # type: ignore[attr-defined]
+            "size": np.nanmean(sizes.results[design]["demand_met_share"]),  # type: ignore[attr-defined]
             **{
                 rule: sum(
                     find_share(days, house, capacity, stored, rule) for days in weather.values()
@@ -171,7 +172,8 @@ def main() -> None:
         year: hours.loc[f"{year}-05-01":f"{year}-10-31"].resample("D").sum()
         for year in sizes.seasons
     }
-    print(compare(sizes, seasons, sizes.targets[0]).to_string(index=False, float_format="%.3f"))
+    table = compare(sizes, seasons, sizes.recommended.target)
+    print(table.to_string(index=False, float_format="%.3f"))
 
 
 if __name__ == "__main__":

@@ -78,7 +78,8 @@ def _describe(metric: Metric) -> Column:
     if metric.form.endswith("%"):
         return Column(metric.label, "%", format_share)
     if metric.form == "d":
-        return Column(metric.label, "", lambda value: f"{value:.3g}")  # the mean of whole numbers
+        # Of whole numbers, the mean has one decimal.
+        return Column(metric.label, "", lambda value: f"{value:.1f}".removesuffix(".0"))
     unit = metric.unit.replace("m3", "m³").replace("m2", "m²")
     return Column(metric.label, "" if unit == "1" else unit, format_number)
 

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection, Iterable, Sequence
 from typing import Any
 
+from rich import box
 from rich.console import Console
+from rich.measure import Measurement
+from rich.table import Table
 from rich.text import Text
 
 from greenroof_ros.base.text import escape
@@ -24,3 +28,30 @@ class PlainConsole(Console):
     def render_str(self, text: str, **settings: Any) -> Text:
         """Return a text, or a cell of a table, as it is printed."""
         return super().render_str("\n".join(map(escape, text.split("\n"))), **settings)
+
+    def print_table(
+        self, title: str, headings: Sequence[str], rows: Iterable[Sequence[str]],
+        marked: Collection[int] = (),
+    ) -> None:
+        """Print a table whose first column is text and whose other columns are numbers.
+
+        A table that is wider than the terminal is printed in full, so that no number is cut off.
+
+        Args:
+            title: title of the table.
+            headings: headings of the columns.
+            rows: cells of each row.
+            marked: rows that are printed in bold, counted from 0.
+        """
+        table = Table(
+            title=title, title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1),
+            show_edge=False,
+        )
+        for number, heading in enumerate(headings):
+            table.add_column(heading, justify="right" if number else "left")
+        for number, cells in enumerate(rows):
+            table.add_row(*cells, style="bold" if number in marked else None)
+            for column, cell in zip(table.columns[1:], cells[1:], strict=True):
+                column.min_width = max([column.min_width or 0, *map(len, cell.split())])
+        needed = Measurement.get(self, self.options.update(max_width=1000), table).minimum
+        self.print(table, width=max(self.width, needed), crop=False)

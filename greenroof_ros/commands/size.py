@@ -3,17 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
-
-from rich import box
-from rich.measure import Measurement
-from rich.table import Column, Table
 
 from greenroof_ros.analysis.sizing.choice import KNEE
-from greenroof_ros.analysis.sizing.columns import format_per_roof, format_spread
 from greenroof_ros.analysis.sizing.designs import OUTLETS, TARGETS, VOLUMES
+from greenroof_ros.analysis.sizing.results import PAGE, TABLE
 from greenroof_ros.analysis.sizing.run import JOBS, KNEE_RANGE, OPTIONS, PRICES, size_site
-from greenroof_ros.analysis.sizing.sizes import PAGE, TABLE, Sizes
 from greenroof_ros.base.command_line import (
     Parser,
     add_option,
@@ -24,16 +18,15 @@ from greenroof_ros.base.command_line import (
 )
 from greenroof_ros.base.console import PlainConsole
 from greenroof_ros.base.errors import rename_keys, require_extra
-from greenroof_ros.base.files import claim_directory
 from greenroof_ros.base.processes import Signals, count_cores
 from greenroof_ros.base.progress import ProgressBar
 from greenroof_ros.simulation.inputs import INPUTS
 from greenroof_ros.simulation.screen import print_weather
 
 _DESCRIPTION = """\
-Compare cisterns, targets and outlets of a site over all seasons of a weather record, by the share
-of the irrigation that the cistern meets and by the storm water that it keeps out of the sewer. The
-result is a sentence, a page for a client, and a table. No forecast is used.
+Compare targets, cisterns and outlets of a site over all seasons of a weather record: irrigation
+with rain, mains water, discharge in wet and in all weather, and what the result rests on. The
+result is a sentence, a page for a client or a council, and a table. No forecast is used.
 """
 _EPILOG = """\
 The outlets are: none; drain, a valve that drains the cistern down to a reserve in dry weather; and
@@ -46,7 +39,8 @@ and season, and the figures as SVG and PNG.
 exit codes: 0 done, 2 bad usage or configuration, 130 interrupted
 
 examples:
-  greenroof size --site my_site.yaml --weather 'record/*.csv' --gaps fill --output sizes
+  greenroof size --site config/site_valve.yaml --gaps fill --output sizes
+                 --weather config/weather/toronto_2014-2025.csv.gz
   greenroof size --site my_site.yaml --weather record.csv --volumes 3 5 8 12 --targets 39
   greenroof size --site my_site.yaml --weather record.csv --mains-price 4 --storm-water-price 1
                  --cistern-price 600 --cistern-years 30
@@ -73,13 +67,13 @@ def make_parser() -> Parser:
     group = parser.add_argument_group("designs")
     group.add_argument(
         "--volumes", nargs="+", type=make_number_type(VOLUMES.low, VOLUMES.high), metavar="M3",
-        help="compare cisterns of these volumes up to the overflow (m3; default: eight preferred "
-        "numbers, equivalent to about 4 to 100 mm of rain on the roof and catchment)",
+        help="compare cisterns of these volumes up to the overflow (m3; default: the site's own, "
+        "and preferred numbers for 4 to 100 mm of rain on the roofs, finer around the best)",
     )
     group.add_argument(
         "--targets", nargs="+", type=make_number_type(TARGETS.low, TARGETS.high), metavar="MM",
-        help="compare these target depths of water on the roof (mm; default: the site's z_veg, "
-        "and the depths 4 mm, or one day's irrigation, below and above z_veg)",
+        help="compare these target depths of water on the roof (mm; default: the site's z_veg, and "
+        "steps of a twentieth of what the soil holds, finer around the best)",
     )
     group.add_argument(
         "--outlets", nargs="+", choices=OUTLETS,
@@ -113,12 +107,11 @@ def main() -> None:
     """Size the cistern of the site named on the command line."""
     arguments = make_parser().parse_args()
     with require_extra("study"):
-        import altair  # noqa: F401 - before the runs, not after them
-        import jinja2  # noqa: F401
-    claim_directory(arguments.output, lambda name: name.startswith("sizes"))
-    given: dict[str, Any] = {name: getattr(arguments, name) for name in OPTIONS}
-    if given["jobs"] is None:
-        given["jobs"] = count_cores()
+        from greenroof_ros.analysis.page import claim_output
+        from greenroof_ros.analysis.sizing.page import tabulate_assumptions, tabulate_volumes
+    claim_output(arguments.output, PAGE, [TABLE])
+    given = {name: getattr(arguments, name) for name in OPTIONS}
+    given["jobs"] = given["jobs"] or count_cores()
     signals = Signals()  # a signal ends the runs at the next report
     with ProgressBar() as bar, rename_keys({name: option_of(name) for name in OPTIONS}):
         def report(text: str, share: float) -> None:
@@ -128,49 +121,10 @@ def main() -> None:
         sizes = size_site(given, report, print_weather)
         report("drawing", 1.0)
         page = sizes.save(arguments.output)
-    show(sizes, page)
-
-
-def show(sizes: Sizes, page: Path) -> None:
-    """Print the recommendation and the designs with the recommended target."""
-    console, own = PlainConsole(), sizes.recommended
+    console = PlainConsole()
     console.print(sizes.sentence, style="bold")
-    seasons = sizes.seasons[0]
-    if len(sizes.seasons) > 1:
-        seasons = (
-            f"means of {len(sizes.seasons)} seasons, with the lowest and the highest in brackets"
-        )
-    console.print(
-        f"Target {own.target:g} mm, outlet {own.outlet}, on/off control; {sizes.window}; "
-        f"{seasons}. The cistern: {sizes.describe_knee()}",
-    )
-    columns = sizes.columns
-    for outlet in sizes.outlets:
-        table = Table(
-            Column("m³", justify="right"),
-            *(Column(f"{one.label} ({one.unit})", justify="right") for one in columns.values()),
-            title=f"Target {own.target:g} mm, outlet {outlet}", title_justify="left",
-            box=box.SIMPLE_HEAD, padding=0, show_edge=False,
-        )
-        for design in sizes.select(own.target, outlet):
-            cells = []
-            for name, column in columns.items():
-                spread = sizes.spread(name, design)
-                per_roof = f"\n{format_per_roof(spread, sizes.site.a2)}" if column.per_roof else ""
-                cells.append(format_spread(spread, column).replace(" to ", "-") + per_roof)
-            table.add_row(f"{design.volume:g}", *cells, style="bold" if design is own else None)
-            for shown, cell in zip(table.columns[1:], cells, strict=True):
-                shown.min_width = max(shown.min_width or 0, *map(len, cell.split()))
-        needed = Measurement.get(console, console.options.update(max_width=1000), table).minimum
-        # No number is cut off.
-        console.print(table, width=max(console.width, needed), crop=False)
-    console.print(sizes.describe_starts())
-    for note in sizes.list_remarks():
+    for table in (tabulate_volumes(sizes)[0], tabulate_assumptions(sizes)):
+        console.print_table(table.caption, table.headings(), table.texts(), table.marked)
+    for note in (*sizes.notes, *sizes.read):
         console.print(f"NOTE: {note}")
-    others = [f"{target:g} mm" for target in sizes.targets if target != own.target]
-    if others:
-        many = "s" * (len(others) > 1)
-        console.print(
-            f"The page also contains the tables for the target{many} {', '.join(others)}.",
-        )
     console.print(f"written to {page} and {TABLE}", soft_wrap=True)

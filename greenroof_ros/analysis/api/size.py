@@ -19,10 +19,10 @@ def size(**options: Any) -> Sizes:
             - ``weather``: files, a pattern or a data frame, as for ``gr.simulate``, with at least
               one season.
             - ``evapotranspiration``, ``gaps``: as for ``gr.simulate``.
-            - ``volumes``: volumes of the cistern up to its overflow (m3); by default eight volumes
-              that suit the roof and the catchment.
+            - ``volumes``: volumes of the cistern up to its overflow (m3); by default the site's
+              own, and volumes that suit the roof and the catchment.
             - ``targets``: target depths of the water on the roof (mm); by default the site's
-              target, and 4 mm below and above it.
+              target, and steps of a twentieth of what the soil holds.
             - ``outlets``: any of ``"none"``, ``"drain"`` and ``"plan"``; by default all three.
             - ``season``: first and last day of the season, as in ``"05-01/10-31"``; by default May
               to October, or November to April south of the equator.
@@ -45,10 +45,10 @@ def size(**options: Any) -> Sizes:
         >>> import greenroof_ros as gr
         >>> sizes = gr.size(
         ...     site="config/site_valve.yaml", weather="config/weather/toronto_2021-07.csv",
-        ...     season="07-07/07-08", volumes=[5, 10], outlets=["none"],
+        ...     season="07-07/07-08", volumes=[5, 10], targets=[36, 39], outlets=["none"],
         ... )
-        >>> sizes.targets
-        [35.0, 39.0, 43.0]
+        >>> sizes.recommended.target
+        36.0
     """
     for name in options:
         if name not in OPTIONS:

@@ -1,4 +1,4 @@
-"""Choice of the recommended design: the target by water stress, the cistern by marginal savings.
+"""Choice of the recommended design: the target by lost evapotranspiration, the cistern by savings.
 
 The knee is the smallest cistern beyond which every additional m3 saves less than a stated amount.
 For volumes V_1 < V_2 < ... that save the water or the money S_1, S_2, ... in a season,
@@ -23,8 +23,9 @@ Values = NDArray[np.float64]
 KNEE = 1.0
 """Water that another m3 of cistern must save (m3 a season): one filling [assumed]."""
 
-MAX_STRESS = 0.01
-"""share of a season's hours in which plants may lack water at the recommended target [assumed]"""
+MAX_LOST = 0.001
+"""share of the potential evapotranspiration that plants may lose at the recommended target, for
+lack of water [assumed]"""
 
 
 @dataclass(frozen=True)
@@ -81,15 +82,35 @@ def find_knee(volumes: Sequence[float], saved: Values, amount: float) -> int | N
     return knee if knee < len(volumes) - 1 or len(volumes) == 1 else None
 
 
-def find_target(targets: Sequence[float], stress_shares: Values) -> float:
-    """Return the lowest target at which plants lack water for at most 1 % of a season (mm).
+def find_target(targets: Sequence[float], lost: Values) -> float:
+    """Return the lowest target at which plants lose at most 0.1 % of their evapotranspiration (mm).
 
-    If there is no such target, return the target with the least stress.
+    A higher target takes more water, also from the mains. If there is no such target, return the
+    target at which plants lose least.
 
     Args:
         targets: targets to choose from (mm), in ascending order.
-        stress_shares: mean share of a season's hours with water stress at each target (1), shape
+        lost: mean share of the potential evapotranspiration that is lost at each target (1), shape
             (n,).
     """
-    fits = np.flatnonzero(stress_shares <= MAX_STRESS)
-    return targets[int(fits[0] if fits.size else np.argmin(stress_shares))]
+    fits = np.flatnonzero(lost <= MAX_LOST)
+    return targets[int(fits[0] if fits.size else np.argmin(lost))]
+
+
+def choose_volume(
+    volumes: Sequence[float], mains: Values, wet: Values, prices: Prices | None, knee: float
+) -> float:
+    """Return the volume that is recommended (m3): the knee, or else the largest.
+
+    Args:
+        volumes: volumes of the cisterns (m3), in ascending order.
+        mains: mean mains water of a season with each of them (m3).
+        wet: mean discharge in wet weather with each of them (m3).
+        prices: prices of water and cistern; None to save water.
+        knee: minimum volume of water that each additional m3 of cistern must save (m3).
+    """
+    saved, amount = -(mains + wet), knee
+    if prices is not None:
+        saved, amount = -prices.cost_water(mains, wet), prices.yearly_cistern_price
+    place = find_knee(volumes, saved, amount)
+    return volumes[-1 if place is None else place]

@@ -5,8 +5,8 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import replace
+from typing import Any, NamedTuple
 
 from greenroof_ros.base.errors import ConfigurationError, describe_choices
 from greenroof_ros.base.ranges import Range
@@ -25,62 +25,91 @@ TAU = 60.0
 """duration of a tick (s)"""
 
 VOLUMES, TARGETS = Range(0.05, 1e5, "m3"), Range(1.0, 1000.0, "mm")
-# Preferred numbers, series R5 of ISO 3: each is 60 % larger than the one before.
-_PREFERRED = (1.0, 1.6, 2.5, 4.0, 6.3)
+# Preferred numbers of ISO 3: each is 60 % (R5) or 12 % (R20) larger than the one before.
+_R5 = (1.0, 1.6, 2.5, 4.0, 6.3)
+_R20 = (
+    1.0, 1.12, 1.25, 1.4, 1.6, 1.8, 2.0, 2.24, 2.5, 2.8, 3.15, 3.55, 4.0, 4.5, 5.0, 5.6, 6.3, 7.1,
+    8.0, 9.0,
+)
 # The smallest default volume holds at least this depth of rain on the connected area [assumed].
 _SMALLEST_M, _COUNT = 0.004, 8
-# The default targets are the site's own, and one day's irrigation in summer above and below it, as
-# assumed for the reserve of drain.
-_DAY_MM = 4.0
+# Steps of the default targets, as a share of the water that the soil holds; and of these steps, the
+# share by which the best target is refined.
+_STEP, _FINE = 1 / 20, 1 / 4
 
 # What sizing needs and a site file may not contain [assumed, as new-site does].
 _MAINS_ABOVE_SUCTION_M, _MAINS_MM_PER_H = 0.02, 10.0
 _OUTLET_ABOVE_MAINS_M = 0.03
 
 
-@dataclass(frozen=True)
-class Design:
-    """A site with one cistern, target and outlet.
-
-    Attributes:
-        volume: volume of the cistern up to its overflow (m3).
-        target: target for the water on the roof, as a depth (mm).
-        outlet: one of :data:`OUTLETS`.
-        site: the site with this cistern, target and outlet.
-        parameters: parameters of the controller, and of the outlet's policy if there is a valve.
-    """
+class Design(NamedTuple):
+    """One cistern, target and outlet."""
 
     volume: float
+    """volume of the cistern up to its overflow (m3)"""
     target: float
+    """target for the water on the roof, as a depth (mm)"""
     outlet: str
-    site: Site
-    parameters: Mapping[str, Any]
+    """one of :data:`OUTLETS`"""
+
+    @property
+    def described_outlet(self) -> str:
+        """The outlet in words."""
+        return "no valve" if self.outlet == NONE else f"valve with {self.outlet}"
 
 
 def choose_volumes(site: Site) -> list[float]:
     """Return the default volumes (m3).
 
     The volumes are eight preferred numbers, which correspond to rain of 4 to about 100 mm on the
-    connected area.
+    connected area, and the volume of the site's own cistern.
     """
     smallest = _SMALLEST_M * connected_area(site)
     decade = math.floor(math.log10(smallest))
     numbers = (
         float(f"{number * 10.0**power:.3g}")
-        for power in range(decade, decade + 4) for number in _PREFERRED
+        for power in range(decade, decade + 4) for number in _R5
     )
     larger = (volume for volume in numbers if volume >= smallest and volume in VOLUMES)
-    return list(itertools.islice(larger, _COUNT))
+    return sorted({*itertools.islice(larger, _COUNT), find_volume(site)})
+
+
+def refine_volumes(volumes: Sequence[float], best: float) -> list[float]:
+    """Return the volumes (m3) of series R20 between the neighbours of the best of some volumes."""
+    place = volumes.index(best)
+    low, high = volumes[max(place - 1, 0)], volumes[min(place + 1, len(volumes) - 1)]
+    decade = math.floor(math.log10(low))
+    between = (
+        float(f"{number * 10.0**power:.3g}")
+        for power in range(decade, decade + 3) for number in _R20
+    )
+    return [volume for volume in between if low < volume < high and volume not in volumes]
+
+
+def find_volume(site: Site) -> float:
+    """Return the volume of the site's own cistern up to its overflow (m3)."""
+    return float(f"{site.a1 * site.z_o:.4g}")
 
 
 def choose_targets(site: Site) -> list[float]:
-    """Return the default targets (mm): the site's, and a day's irrigation below and above it."""
-    own, full = 1000 * site.z_veg, 1000 * site.roof_level(site.z_cap)
-    wilting = 1000 * site.roof_level(site.wilting_volume)
-    return [
-        float(f"{target:.6g}") for target in (own - _DAY_MM, own, own + _DAY_MM)
-        if target == own or wilting + _DAY_MM < target < full
-    ]
+    """Return the default targets (mm): steps of a twentieth of the soil's storage, and the site's.
+
+    The targets are above the wilting point, and below the level at which the soil drains.
+    """
+    step, wilting = _find_step(site), 1000 * site.roof_level(site.wilting_volume)
+    steps = (number * step for number in range(1, round(1 / _STEP)))
+    own = 1000 * site.z_veg
+    return sorted({own, *(float(f"{target:.3g}") for target in steps if target > wilting)})
+
+
+def refine_targets(site: Site, best: float) -> list[float]:
+    """Return targets (mm) in finer steps below the best of the default targets."""
+    step = _find_step(site)
+    return [float(f"{best - part * _FINE * step:.3g}") for part in (3, 2, 1)]
+
+
+def _find_step(site: Site) -> float:
+    return 1000 * _STEP * site.roof_level(site.z_cap)
 
 
 def read_numbers(values: Sequence[Any] | None, key: str, allowed: Range) -> list[float] | None:
@@ -123,29 +152,74 @@ def choose_outlet(site: Site, outlets: Sequence[str]) -> str:
     return own if own in outlets else outlets[0]
 
 
-def make_designs(
-    site: Site, volumes: Sequence[float], targets: Sequence[float], outlets: Sequence[str]
-) -> tuple[list[Design], list[str]]:
-    """Return the designs, sorted by outlet, target and volume, and the assumptions as sentences.
-
-    Args:
-        site: the site; only the height of its own cistern is used.
-        volumes: volumes of the cistern (m3), in ascending order.
-        targets: targets (mm), in ascending order.
-        outlets: names from :data:`OUTLETS`.
+def check_target(site: Site, target: float) -> None:
+    """Check a target (mm).
 
     Raises:
-        ConfigurationError: if the soil cannot hold a target, or plants cannot take up the water
-            at a target.
+        ConfigurationError: if the soil cannot hold it, or plants cannot take up the water.
     """
     full, wilting = site.roof_level(site.z_cap), site.roof_level(site.wilting_volume)
-    for target in targets:
-        if not wilting < target / 1000 < full:
-            raise ConfigurationError(
-                f"must be above {1000 * wilting:.4g} mm, below which plants take up no water, and "
-                f"below {1000 * full:.4g} mm, above which the soil drains (field_capacity and "
-                "z_soil of the site)", key="targets", value=target,
-            )
+    if not wilting < target / 1000 < full:
+        raise ConfigurationError(
+            f"must be above {1000 * wilting:.4g} mm, below which plants take up no water, and "
+            f"below {1000 * full:.4g} mm, above which the soil drains (field_capacity and "
+            "z_soil of the site)", key="targets", value=target,
+        )
+
+
+def build(site: Site, design: Design) -> tuple[Site, Mapping[str, Any]]:
+    """Return the site of a design, and the parameters of its controller and its valve.
+
+    What the site lacks is assumed, see :func:`list_assumed`. Of the site's own cistern, only the
+    height is used.
+    """
+    site = _add_mains(site)
+    if design.outlet == NONE:
+        site = replace(site, low_outlet_level=None, low_outlet_radius=None, **WITHOUT_VALVE)
+    else:
+        site = _add_valve(site)
+    depth = design.target / 1000
+    sized = replace(
+        site, a1=design.volume / site.z_o, z_veg=depth, x2_star=site.a2 * depth, tau=TAU, M=1,
+        initial_cistern=None, initial_roof=None,
+    )
+    parameters: dict[str, Any] = {} if design.outlet == NONE else {"outlet": design.outlet}
+    if math.isnan(sized.low_outlet_radius or 0.0):
+        radius = find_outlet_radius(
+            sized, sized.a1, sized.z_o - (sized.low_outlet_level or 0.0), 3600 * EMPTIED_H
+        )
+        sized = replace(sized, low_outlet_radius=max(0.001, radius))
+    sized = check_site(sized)
+    return sized, find_controller(CONTROLLER).complete_parameters(sized, parameters)
+
+
+def _add_mains(site: Site) -> Site:
+    """Return a site with a mains top-up, which is needed to compute the share of demand met."""
+    if site.mains_level is not None:
+        return site
+    above = min(_MAINS_ABOVE_SUCTION_M, (site.min_outlet_level - site.suction_level) / 2)
+    flow = _MAINS_MM_PER_H / 1000 / 3600 * site.a2
+    return replace(site, mains_level=site.suction_level + above, mains_flow=flow)
+
+
+def _add_valve(site: Site) -> Site:
+    """Return a site with a valve on a low outlet.
+
+    The radius of the outlet is NaN if it is not in the site file, because it depends on the
+    cistern.
+    """
+    assert site.mains_level is not None
+    if site.low_outlet_level is not None:
+        return replace(site, low_outlet_valve=True)
+    level = site.mains_level + min(_OUTLET_ABOVE_MAINS_M, (site.z_o - site.mains_level) / 2)
+    return replace(
+        site, low_outlet_level=level, low_outlet_radius=math.nan, low_outlet_valve=True
+    )
+
+
+def list_assumed(site: Site, outlets: Sequence[str]) -> list[str]:
+    """Return sentences about how the designs are simulated, and what is assumed in them."""
+    topped_up = _add_mains(site)
     notes = [
         f"All cisterns have the height of the cistern in the site file, {site.z_o:g} m up to the "
         "overflow, and differ in their area. A season begins with the cistern half full and the "
@@ -154,74 +228,18 @@ def make_designs(
         "whether the pump runs. No forecast is used: plan keeps the water that the roof needs "
         "for 20 days, and makes room in dry weather.",
     ]
-    topped_up = _add_mains(site, notes)
-    designs = []
-    for outlet in outlets:
-        if outlet == NONE:
-            valved = replace(
-                topped_up, low_outlet_level=None, low_outlet_radius=None, **WITHOUT_VALVE
-            )
-        else:
-            valved = _add_valve(topped_up, notes)
-        for target, volume in itertools.product(targets, volumes):
-            designs.append(_make_design(valved, volume, target, outlet))
-    return designs, list(dict.fromkeys(notes))
-
-
-def _make_design(site: Site, volume: float, target: float, outlet: str) -> Design:
-    sized = replace(
-        site, a1=volume / site.z_o, z_veg=target / 1000, x2_star=site.a2 * target / 1000,
-        tau=TAU, M=1, initial_cistern=None, initial_roof=None,
-    )
-    parameters: dict[str, Any] = {}
-    if outlet != NONE:
-        parameters["outlet"] = outlet
-        if math.isnan(site.low_outlet_radius or 0.0):
-            radius = find_outlet_radius(
-                sized, sized.a1, sized.z_o - (sized.low_outlet_level or 0.0), 3600 * EMPTIED_H
-            )
-            sized = replace(sized, low_outlet_radius=max(0.001, radius))
-    sized = check_site(sized)
-    complete = find_controller(CONTROLLER).complete_parameters(sized, parameters)
-    return Design(volume, target, outlet, sized, complete)
-
-
-def _add_mains(site: Site, notes: list[str]) -> Site:
-    """Return a site with a mains top-up, which is needed to compute the share of demand met."""
-    if site.mains_level is not None:
-        return site
-    above = min(_MAINS_ABOVE_SUCTION_M, (site.min_outlet_level - site.suction_level) / 2)
-    level, flow = site.suction_level + above, _MAINS_MM_PER_H / 1000 / 3600 * site.a2
-    notes.append(
-        "Assumed, because the site file has no mains top-up: below a level of "
-        f"{level:.3g} m, {1000 * above:.3g} mm above the pumps' suction level, mains water flows "
-        f"in at {3600 * flow:.3g} m³/h, which is {_MAINS_MM_PER_H:g} mm/h over the roof."
-    )
-    return replace(site, mains_level=level, mains_flow=flow)
-
-
-def _add_valve(site: Site, notes: list[str]) -> Site:
-    """Return a site with a valve on a low outlet.
-
-    The radius of the outlet is NaN if it is not in the site file, because it depends on the
-    cistern.
-    """
-    assert site.mains_level is not None
-    if site.low_outlet_valve:
-        return site
-    if site.low_outlet_level is not None:
+    if site.mains_level is None:
         notes.append(
-            "Assumed: the low outlet of the site file, which has no valve, gets a valve for "
-            "drain and plan, and is closed for none."
+            "Assumed, because the site file has no mains top-up: below a level of "
+            f"{topped_up.mains_level:.3g} m, mains water flows in at "
+            f"{3600 * (topped_up.mains_flow or 0.0):.3g} m³/h, which is {_MAINS_MM_PER_H:g} mm/h "
+            "over the roof."
         )
-        return replace(site, low_outlet_valve=True)
-    above = min(_OUTLET_ABOVE_MAINS_M, (site.z_o - site.mains_level) / 2)
-    level = site.mains_level + above
-    notes.append(
-        "Assumed, because the site file has no low outlet: drain and plan have a valve at a level "
-        f"of {level:.3g} m, {1000 * above:.3g} mm above the level of the mains top-up. The valve "
-        f"is large enough to empty a full cistern down to its level in {EMPTIED_H:g} h."
-    )
-    return replace(
-        site, low_outlet_level=level, low_outlet_radius=math.nan, low_outlet_valve=True
-    )
+    if not site.low_outlet_valve and {*outlets} != {NONE}:
+        level = _add_valve(topped_up).low_outlet_level
+        size = f", which empties a full cistern down to this level in {EMPTIED_H:g} h"
+        notes.append(
+            f"Assumed: drain and plan have a valve at a level of {level:.3g} m"
+            f"{size if site.low_outlet_level is None else ', on the low outlet of the site file'}."
+        )
+    return notes

@@ -35,9 +35,9 @@ def test_costs() -> None:
     assert prices.yearly_cistern_price == 20.0
 
 
-@pytest.mark.parametrize(("stress", "target"), [
-    ([0.2, 0.01, 0.0], 39.0), ([0.2, 0.05, 0.02], 43.0), ([0.0, 0.0, 0.0], 35.0),
+@pytest.mark.parametrize(("lost", "target"), [
+    ([0.2, 0.001, 0.0], 39.0), ([0.2, 0.05, 0.02], 43.0), ([0.0, 0.0, 0.0], 35.0),
 ])
-def test_target(stress: list[float], target: float) -> None:
-    """The lowest with at most 1 % of stress, or else the one with the least."""
-    assert find_target([35.0, 39.0, 43.0], np.array(stress)) == target
+def test_target(lost: list[float], target: float) -> None:
+    """The lowest at which at most 0.1 % is lost, or else the one at which least is lost."""
+    assert find_target([35.0, 39.0, 43.0], np.array(lost)) == target

@@ -3,15 +3,21 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import pytest
 from places import CONFIG
 
+from greenroof_ros.analysis.assumptions import list_ends
 from greenroof_ros.analysis.sizing.designs import (
     OUTLETS,
+    Design,
+    build,
     choose_targets,
     choose_volumes,
-    make_designs,
+    list_assumed,
+    refine_targets,
+    refine_volumes,
 )
 from greenroof_ros.physics.cistern import low_outlet_flow
 from greenroof_ros.physics.parameters import plant_parameters
@@ -20,56 +26,68 @@ from greenroof_ros.site.file import check_site, read_site
 VALVE = CONFIG / "site_valve.yaml"
 
 
-def test_default_volumes_and_targets() -> None:
-    """Preferred numbers of ISO 3 from 4 mm on 338.8 m2, 1.36 m3; a day's irrigation each way."""
+def test_default_volumes() -> None:
+    """Preferred numbers of ISO 3 from 4 mm on 338.8 m2, 1.36 m3, and the site's 10 or 12 m3."""
     site = read_site(VALVE)
     assert choose_volumes(site) == [1.6, 2.5, 4.0, 6.3, 10.0, 16.0, 25.0, 40.0]
-    assert choose_targets(site) == [35.0, 39.0, 43.0]
+    assert choose_volumes(read_site(VALVE, {"a1": 6.0}))[4:6] == [10.0, 12.0]
     large = read_site(VALVE, {"a_in": 30_000.0, "r_o": 1.0})
-    assert choose_volumes(large)[:2] == [160.0, 250.0]  # 4 mm on 27,069 m2 are 108 m3
+    assert choose_volumes(large)[1:3] == [160.0, 250.0]  # 4 mm on 27,069 m2 are 108 m3
+    assert refine_volumes([6.3, 10.0, 16.0], 10.0) == [7.1, 8.0, 9.0, 11.2, 12.5, 14.0]
+    assert refine_volumes([6.3, 10.0, 16.0], 16.0) == [11.2, 12.5, 14.0]
 
 
-def test_targets_that_the_soil_cannot_keep_are_left_out() -> None:
-    """This soil holds 68 mm, and 2 mm of them are of no use to plants."""
-    assert choose_targets(read_site(VALVE, {"z_veg": 0.066})) == [62.0, 66.0]
-    assert choose_targets(read_site(VALVE, {"z_veg": 0.005})) == [5.0, 9.0]
+def test_default_targets() -> None:
+    """A twentieth of 68.04 mm is 3.4 mm; 2.16 mm of them are of no use to plants."""
+    site = read_site(VALVE)
+    targets = choose_targets(site)
+    assert (targets[:2], targets[-1], len(targets)) == ([3.4, 6.8], 64.6, 20)
+    assert 39.0 in targets
+    assert refine_targets(site, 37.4) == [34.8, 35.7, 36.5]
 
 
 def test_a_site_with_all_of_it_needs_no_assumption() -> None:
     """Its cisterns have its height and its levels; without an outlet there is no valve."""
     site = read_site(VALVE, {"valve_moves_per_hour": 4.0, "valve_travel_time": 9.0})
-    designs, notes = make_designs(site, [5.0, 20.0], [39.0], OUTLETS)
-    assert [(design.outlet, design.volume) for design in designs] == [
-        (outlet, volume) for outlet in OUTLETS for volume in (5.0, 20.0)
-    ]
-    assert not any("Assumed" in note for note in notes)
-    for design in designs:
-        assert design.site.a1 * design.site.z_o == pytest.approx(design.volume)
-        assert design.site.mains_level == site.mains_level
-        assert design.site.low_outlet_valve == (design.outlet != "none")
-        assert check_site(design.site).valve_moves_per_hour == (
-            4.0 if design.site.low_outlet_valve else None
-        )
-        assert design.parameters.get("outlet", "none") == design.outlet
-    assert designs[-1].site.low_outlet_radius == site.low_outlet_radius
+    assert not any("Assumed" in note for note in list_assumed(site, OUTLETS))
+    for outlet in OUTLETS:
+        built, parameters = build(site, Design(5.0, 36.0, outlet))
+        assert built.a1 * built.z_o == pytest.approx(5.0)
+        assert built.x2_star == pytest.approx(0.036 * site.a2)
+        assert built.mains_level == site.mains_level
+        assert built.low_outlet_valve == (outlet != "none")
+        assert check_site(built).valve_moves_per_hour == (4.0 if outlet != "none" else None)
+        assert parameters.get("outlet", "none") == outlet
+    assert built.low_outlet_radius == site.low_outlet_radius
 
 
 def test_assumptions_are_named() -> None:
     """Table I has neither mains nor valve: 10 mm/h on 68.8 m2 are 0.688 m3/h."""
-    designs, notes = make_designs(read_site(CONFIG / "site.yaml"), [5.0], [45.7], OUTLETS)
-    assumed = [note for note in notes if note.startswith("Assumed")]
-    assert len(assumed) == 2
-    assert "a level of 0.77 m, 20 mm above the pumps' suction level" in assumed[0]
-    assert "0.688 m³/h, which is 10 mm/h over the roof" in assumed[0]
-    assert "a level of 0.8 m, 30 mm above the level of the mains" in assumed[1]
-    assert designs[0].site.mains_flow == pytest.approx(0.688 / 3600)
+    site = read_site(CONFIG / "site.yaml")
+    mains, valve = (note for note in list_assumed(site, OUTLETS) if note.startswith("Assumed"))
+    assert "0.77 m, mains water flows in at 0.688 m³/h, which is 10 mm/h over" in mains
+    assert "a level of 0.8 m, which empties a full cistern" in valve
+    assert build(site, Design(5.0, 45.7, "none"))[0].mains_flow == pytest.approx(0.688 / 3600)
+
+
+def test_ends_of_the_assumptions() -> None:
+    """One at a time; the percolation below field capacity needs a field capacity."""
+    site = read_site(VALVE)
+    ends = [(end.assumption.name, end.value) for end in list_ends(site)]
+    assert ends == [
+        ("percolation_exponent", 1.5), ("percolation_exponent", 3.0), ("wet_after", 1.0),
+        ("wet_after", 6.0), ("runoff_coefficient", 0.75), ("runoff_coefficient", 0.95),
+        ("k_Rs", 0.16), ("k_Rs", 0.19),
+    ]
+    assert [end.site for end in list_ends(site)][3] == replace(site, wet_after=6.0)
+    assert next(list_ends(read_site(CONFIG / "site.yaml"))).assumption.name == "wet_after"
 
 
 @pytest.mark.parametrize("volume", [2.0, 50.0])
 def test_the_assumed_valve_empties_any_cistern_in_twelve_hours(volume: float) -> None:
     """Stepped second by second to 1 mm above the outlet, where it still loses the last of it."""
-    designs, _ = make_designs(read_site(CONFIG / "site.yaml"), [volume], [45.7], ["drain"])
-    site, stored, seconds = designs[0].site, volume, 0
+    site, _ = build(read_site(CONFIG / "site.yaml"), Design(volume, 45.7, "drain"))
+    stored, seconds = volume, 0
     numbers = plant_parameters(site)
     while stored > site.a1 * (site.low_outlet_level or 0.0) + 1e-3 * site.a1:
         stored -= low_outlet_flow(numbers, stored)
@@ -81,6 +99,7 @@ def test_the_assumed_valve_empties_any_cistern_in_twelve_hours(volume: float) ->
 def test_an_orifice_gets_a_valve() -> None:
     """For none it is left out, and the note says so."""
     site = read_site(VALVE, {"low_outlet_valve": False})
-    designs, notes = make_designs(site, [5.0], [39.0], OUTLETS)
-    assert [design.site.low_outlet_level is None for design in designs] == [True, False, False]
-    assert sum("which has no valve, gets a valve" in note for note in notes) == 1
+    assert [
+        build(site, Design(5.0, 39.0, outlet))[0].low_outlet_level is None for outlet in OUTLETS
+    ] == [True, False, False]
+    assert "on the low outlet of the site file" in list_assumed(site, OUTLETS)[-1]

@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 from places import CONFIG
 
-from greenroof_ros.analysis.sizing.seasons import find_seasons, read_window
+from greenroof_ros.analysis.seasons import find_seasons, read_window
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.controllers.registry import find_controller
 from greenroof_ros.simulation.inputs import make_inputs
