@@ -46,6 +46,11 @@ examples:
                  --cistern-price 600 --cistern-years 30
 """
 
+# Results that fit a terminal.
+_PRINTED = (
+    "demand_met_share", "mains_m3", "wet_discharge_m3", "discharge_m3", "retention_share",
+)
+
 
 def make_parser() -> Parser:
     """Return the parser of the command line."""
@@ -108,7 +113,7 @@ def main() -> None:
     arguments = make_parser().parse_args()
     with require_extra("study"):
         from greenroof_ros.analysis.page import claim_output
-        from greenroof_ros.analysis.sizing.page import tabulate_assumptions, tabulate_volumes
+        from greenroof_ros.analysis.sizing.page import tabulate_volumes
     claim_output(arguments.output, PAGE, [TABLE])
     given = {name: getattr(arguments, name) for name in OPTIONS}
     given["jobs"] = given["jobs"] or count_cores()
@@ -123,8 +128,11 @@ def main() -> None:
         page = sizes.save(arguments.output)
     console = PlainConsole()
     console.print(sizes.sentence, style="bold")
-    for table in (tabulate_volumes(sizes)[0], tabulate_assumptions(sizes)):
-        console.print_table(table.caption, table.headings(), table.texts(), table.marked)
-    for note in (*sizes.notes, *sizes.read):
+    table = tabulate_volumes(sizes, _PRINTED)[0]
+    console.print_table(table.caption, table.headings(), table.texts(), table.marked)
+    for note in sizes.notes:
         console.print(f"NOTE: {note}")
-    console.print(f"written to {page} and {TABLE}", soft_wrap=True)
+    console.print(
+        f"written to {page}, which also shows what the result rests on, and {TABLE}",
+        soft_wrap=True,
+    )

@@ -77,7 +77,7 @@ def list_sections(sizes: Sizes, figures: Sequence[Figure]) -> list[Section]:
         Section("What it rests on", [
             "If the cistern is empty at the start of a season, instead of half full, the result "
             f"is {empty}; if it is full, {full}.",
-            tabulate_assumptions(sizes),
+            _tabulate_assumptions(sizes),
             sizes.notes,
         ]),
         Section("Other targets and outlets", [
@@ -94,21 +94,28 @@ def list_sections(sizes: Sizes, figures: Sequence[Figure]) -> list[Section]:
     ]
 
 
-def tabulate_volumes(sizes: Sizes) -> list[Table]:
-    """Return a table of the cisterns for each outlet, beginning with the recommended outlet."""
+def tabulate_volumes(sizes: Sizes, names: Sequence[str] = ()) -> list[Table]:
+    """Return a table of the cisterns for each outlet, beginning with the recommended outlet.
+
+    Args:
+        sizes: the sizes.
+        names: names of the results to show; by default all.
+    """
     return [
         _tabulate(
             sizes, f"Cisterns, {designs[0].described_outlet}, target {designs[0].target:g} mm",
-            "cistern (m³)", designs, "volume",
+            "cistern (m³)", designs, "volume", names,
         ) for designs in sizes.select_volumes().values()
     ]
 
 
 def _tabulate(
-    sizes: Sizes, caption: str, heading: str, designs: Sequence[Design], varied: str
+    sizes: Sizes, caption: str, heading: str, designs: Sequence[Design], varied: str,
+    names: Sequence[str] = (),
 ) -> Table:
     """Return the table of designs that differ in an attribute, ``volume`` or ``target``."""
-    columns, own = sizes.columns, getattr(sizes.recommended, varied)
+    columns = {name: SHOWN[name] for name in names or sizes.columns}
+    own = getattr(sizes.recommended, varied)
     rows = [
         [f"{getattr(design, varied):g}", *(sizes.format(name, design) for name in columns)]
         for design in designs
@@ -117,7 +124,7 @@ def _tabulate(
     return Table(caption, [heading, *columns.values()], rows, frozenset(chosen))
 
 
-def tabulate_assumptions(sizes: Sizes) -> Table:
+def _tabulate_assumptions(sizes: Sizes) -> Table:
     """Return the table of the recommended design at both ends of every assumption."""
     own, columns = sizes.recommended, {name: SHOWN[name] for name in _RESTS_ON}
 
