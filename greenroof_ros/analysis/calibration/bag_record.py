@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from datetime import timedelta, timezone
 from pathlib import Path
 
 import numpy as np
@@ -43,8 +42,7 @@ def read_bag_record(bag: Path, site: Site) -> StepRecord:
         ConfigurationError: if the bag cannot be read, is shorter than two steps, or contains no
             evapotranspiration.
     """
-    offset = timezone(timedelta(hours=site.utc_offset or 0.0))
-    trajectory, notes, _ = load_bag(bag, site, offset, own=False)
+    trajectory, notes, _ = load_bag(bag, site, site.zone, own=False)
     steps = int(trajectory.time[-1] // _STEP_S)
     if steps < 2:
         raise ConfigurationError(

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 import altair as alt
 import numpy as np
 
-from greenroof_ros.analysis.calibration.fit import FILLED, Fit
+from greenroof_ros.analysis.calibration.fit import FILLED
 from greenroof_ros.analysis.calibration.record import COMBINE, sum_spans
-from greenroof_ros.analysis.calibration.scores import FitScores
-from greenroof_ros.analysis.calibration.site_file import CROP_NOTE, INTERVAL_NOTE
+from greenroof_ros.analysis.calibration.result import (
+    CROP_NOTE,
+    INTERVAL_NOTE,
+    Calibration,
+    describe_halves,
+    describe_scores,
+)
 from greenroof_ros.analysis.calibration.step_record import (
     DAY_S,
     StepRecord,
@@ -25,46 +30,72 @@ from greenroof_ros.analysis.figures import (
     round_value,
     series_panel,
 )
-from greenroof_ros.analysis.report.page import make_page
+from greenroof_ros.analysis.page import Section, make_page
+from greenroof_ros.analysis.tables import Column, Table
 from greenroof_ros.site.file import SITE_KEYS
 
 MEASURED, SIMULATED = "measured", "simulated"
 
 
-def render(
-    record: StepRecord, halves: Mapping[str, Steps], fit: Fit, scores: Sequence[FitScores],
-    site_file: str, spans: Mapping[str, str], warnings: Sequence[str], notes: Sequence[str],
-) -> str:
-    """Return the page.
-
-    Args:
-        record: the measurements in the months that are used.
-        halves: the steps that were fitted, and the steps for validation.
-        fit: the result of the fit.
-        scores: scores of every quantity, for the fit and for the validation.
-        site_file: text of the site file that was written.
-        spans: time span of each half, as text.
-        warnings: warnings about the record and the fit.
-        notes: other findings, and changes made to the record.
-    """
-    known = {name: (each.unit, each.meaning) for name, each in SITE_KEYS.items()}
+def render(made: Calibration) -> str:
+    """Return the page of a calibration."""
+    record, known = made.record, {
+        name: (each.unit, each.meaning) for name, each in SITE_KEYS.items()
+    }
     known[FILLED] = (
         "1", "share of the available water capacity that is filled when the record begins"
     )
     figures = [
-        draw_quantity(quantity, record, halves, getattr(fit.simulated, quantity))
+        draw_quantity(quantity, record, made.halves, getattr(made.fit.simulated, quantity))
         for quantity in record.measured
     ]
-    return make_page(
-        __package__, figures, record=record, rain=float(np.nansum(record.rain)),
-        parameters=fit.parameters, known=known, scores=scores, name_time=name_time, shown=_shown,
-        site_file=site_file, spans=spans, warnings=warnings, notes=notes,
-        crop_note=CROP_NOTE, interval_note=INTERVAL_NOTE,
-    )
-
-
-def _shown(value: float, form: str) -> str:
-    return "-" if np.isnan(value) else format(value, form)
+    judged = [describe_scores(row) for row in made.scores if row.part == "validation"]
+    answer = f"In the half that was not used for the fit: {' '.join(judged)}"
+    if made.warnings:
+        answer = f"Do not use this fit before you have read the warnings. {answer}"
+    parameters = [
+        [one.name, one.value, known[one.name][0], one.interval or "not fitted", one.reason,
+         known[one.name][1]] for one in made.fit.parameters
+    ]
+    spans = made.scores[0].nse
+    scores = [
+        [row.quantity, row.part, *row.nse.values(), *row.kge.values(),
+         row.volume_error if row.quantity == "runoff" else np.nan] for row in made.scores
+    ]
+    value, efficiency = Column("value", "", "{:.4g}".format), "{:.2f}".format
+    return make_page("Green roof: calibration", answer, [
+        *([Section("Warnings", [list(made.warnings)])] if made.warnings else []),
+        Section("Parameters", [
+            Table("Parameters of the roof", [
+                "parameter", value, "unit", "95 % interval", "what the data show", "meaning",
+            ], parameters),
+            f"A parameter without an interval was not fitted: it keeps the site file's value. "
+            f"{INTERVAL_NOTE} Intervals allow residuals within a week to depend on each other, and "
+            f"do not include errors of the model itself. The crop_coefficient {CROP_NOTE}.",
+        ]),
+        Section("Pictures", figures),
+        Section("What it rests on", [
+            Table("Scores", [
+                "quantity", "part",
+                *(Column(f"{name}, {name_time(time)}", "", efficiency)
+                  for name in ("NSE", "KGE") for time in spans),
+                Column("volume error", "%", lambda share: f"{100 * share:+.1f}"),
+            ], scores),
+            "NSE (Nash and Sutcliffe) is 1 for a perfect simulation and 0 for one that is no "
+            "better than the mean of the measurements. KGE (Kling and Gupta) is 1 for a perfect "
+            "simulation, and -0.41 for the mean of the measurements. The volume error is the "
+            "simulated minus the measured total, as a share of the measured total.",
+        ]),
+        Section("What was read", [[
+            f"{record.source}: steps of {name_time(record.step_s)}, with "
+            f"{np.nansum(record.rain):.4g} mm of rain", *record.contents, *made.notes,
+        ]]),
+        Section("How it was made", [
+            describe_halves(record, made.halves)
+            + " The site file follows, with every value and its interval.",
+            made.site_file.splitlines(),
+        ], folded=True),
+    ])
 
 
 # For every quantity: the title of its figure, and how many mm make one of its unit.

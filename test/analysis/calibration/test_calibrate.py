@@ -15,7 +15,7 @@ from places import DATA
 from refusals import refusal
 from twins import TWIN, record_rows, summed, write
 
-from greenroof_ros.analysis.calibration.site_file import format_fitted_site
+from greenroof_ros.analysis.calibration.result import format_fitted_site
 from greenroof_ros.base.files import shared_directory
 from greenroof_ros.site.file import format_site, read_site
 
@@ -48,7 +48,7 @@ def fitted(tmp_path_factory: pytest.TempPathFactory) -> Path:
     # On a slow machine a line every ten seconds, and nothing else.
     progress = re.compile(r"(exponent .*|done): \d+%")
     said = [line for line in ended.stderr.splitlines() if not progress.fullmatch(line)]
-    assert len(said) >= 3 and all(line.startswith("record: ") for line in said)
+    assert {line.partition(":")[0] for line in said} == {"record", "note"}
     return directory
 
 
@@ -129,21 +129,21 @@ def test_a_stuck_sensor_is_a_warning(fitted: Path, tmp_path: Path) -> None:
         tmp_path, file.name, "--site", str(fitted / "site.yaml"), "-o", "new.yaml"
     )
     assert done.returncode == 0, done.stderr
-    assert "warning: level is 0.03 m for " in done.stderr
     warning = "level is 0.03 m for "
-    assert warning in done.stdout
+    assert f"warning: {warning}" in done.stderr
     assert f"# {warning}" in (tmp_path / "new.yaml").read_text(encoding="utf-8")
-    assert warning[1:] in (tmp_path / "new.html").read_text(encoding="utf-8").split("</header>")[0]
+    page = (tmp_path / "new.html").read_text(encoding="utf-8")
+    assert "Do not use this fit before" in page.split("</header>")[0] and warning in page
 
 
-def test_the_page_draws_everything_and_asks_for_nothing(fitted: Path) -> None:
-    with drawn_page(fitted / "fitted.html", 4) as page:
+def test_the_page_says_what_was_found(fitted: Path) -> None:
+    with drawn_page(fitted / "fitted.html") as page:
+        assert page.inner_text("#answer").startswith("In the half that was not used for the fit: ")
         words = page.inner_text("main")
-        assert "field_capacity" in words
-        assert "Measured and simulated" not in words  # titles are drawn
-        notes = page.locator("#notes li").all_inner_texts()
-        assert notes[0].startswith("rain ") and notes[2].startswith("missing: ")
-        assert [note.split(":")[0] for note in notes[3:]] == [
+        assert "field_capacity" in words and page.locator("figure img").count() == 4
+        read = page.locator("section:has-text('What was read') li").all_inner_texts()
+        assert read[1].startswith("rain ") and read[3].startswith("missing: ")
+        assert {note.split(":")[0] for note in read[4:]} >= {
             "compared", "target", "percolation_exponent"
-        ]
+        }
         assert "The crop_coefficient applies only if evapotranspiration is computed" in words
