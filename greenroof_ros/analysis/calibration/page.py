@@ -14,7 +14,6 @@ from greenroof_ros.analysis.calibration.result import (
     INTERVAL_NOTE,
     Calibration,
     describe_halves,
-    describe_scores,
 )
 from greenroof_ros.analysis.calibration.step_record import (
     DAY_S,
@@ -49,8 +48,18 @@ def render(made: Calibration) -> str:
         draw_quantity(quantity, record, made.halves, getattr(made.fit.simulated, quantity))
         for quantity in record.measured
     ]
-    judged = [describe_scores(row) for row in made.scores if row.part == "validation"]
-    answer = f"In the half that was not used for the fit: {' '.join(judged)}"
+    judged = []
+    for row in made.scores:
+        if row.part == "validation":
+            time, nse = list(row.nse.items())[-1]
+            judged.append(f"the {row.quantity} of a {name_time(time).removeprefix('1 ')} has an "
+                          f"NSE of {nse:.2f}")
+            if row.quantity == "runoff":
+                judged[-1] += f" and its volume is {100 * row.volume_error:+.1f} % off"
+    answer = (
+        f"In the half that was not used for the fit, {'; '.join(judged)}. (An NSE of 1 is perfect; "
+        "0 is no better than the mean of the measurements.)"
+    )
     if made.warnings:
         answer = f"Do not use this fit before you have read the warnings. {answer}"
     parameters = [
@@ -129,7 +138,7 @@ def draw_quantity(
     for chart, heading, value, field, names, label, zero in (
         (data.transform_fold([MEASURED, SIMULATED], as_=["series", "v"]), "Measured and simulated",
          "v", "series", [MEASURED, SIMULATED], axis, adds_up),
-        (data, "Residuals", "error", "part", [*halves], f"simulated minus measured, {axis}", True),
+        (data, "Residuals", "error", "part", [*halves], f"error, {axis}", True),
     ):
         lines = chart.mark_line(
             clip=True, strokeWidth=1.2, interpolate="step-after", point="transparent"

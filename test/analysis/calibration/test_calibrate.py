@@ -138,7 +138,7 @@ def test_a_stuck_sensor_is_a_warning(fitted: Path, tmp_path: Path) -> None:
 
 def test_the_page_says_what_was_found(fitted: Path) -> None:
     with drawn_page(fitted / "fitted.html") as page:
-        assert page.inner_text("#answer").startswith("In the half that was not used for the fit: ")
+        assert page.inner_text("#answer").startswith("In the half that was not used for the fit, the ")
         words = page.inner_text("main")
         assert "field_capacity" in words and page.locator("figure img").count() == 4
         read = page.locator("section:has-text('What was read') li").all_inner_texts()

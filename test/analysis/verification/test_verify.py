@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import math
 import os
 import subprocess
 from collections.abc import Iterable, Sequence
@@ -16,6 +17,7 @@ from numpy.typing import NDArray
 from places import DATA
 from scipy import stats
 
+from greenroof_ros.analysis.verification.result import verify
 from greenroof_ros.forecast.issue import IssuedForecast, write_forecasts
 
 GEM = DATA / "gem_global_previous_runs_2024-03.csv"
@@ -129,8 +131,8 @@ def test_runs_by_lead(tmp_path: Path) -> None:
     assert (near["lead_from_h"], near["lead_to_h"], far["lead_to_h"]) == ("0", "6", "12")
     # Sums of six hours. Near: 0 and 12 against 0, 24 and 6 against 6; far: the same against 6, 18.
     assert [float(row["bias"]) for row in rows] == [4.0, 1.0]
-    assert [(row["n"], row["pod"], row["far"]) for row in rows] == [
-        ("2", "1", "0"), ("2", "0.5", "0")
+    assert [[float(row[name]) for name in ("n", "pod", "far")] for row in rows] == [
+        [2, 1, 0], [2, 0.5, 0]
     ]
     # Probabilities 0.5 without an event and 1 with one; 0.5 and 1 with events.
     assert [float(row["brier"]) for row in rows] == [0.125, 0.125]
@@ -186,13 +188,12 @@ def test_issues_that_are_shorter_than_the_horizon(tmp_path: Path) -> None:
 # --- wrong use ------------------------------------------------------------------------------------
 
 WRONG = {
-    "GEM --sums 1 --events 1 2": "--events: must have as many values as --sums (1), not 2",
-    "GEM --events 1 2": "--sums and --events: must be used together",
-    "GEM --lead 6 --sums 12 --events 3":
-        "--sums = 12: must be a divisor of --lead (6 h), and be given only once",
+    "GEM --sums 1 --events 1 2": "sums, events: must be used together",
+    "GEM --events 1 2": "sums, events: must be used together",
+    "GEM --lead 6 --sums 12 --events 3": "--sums = 12: must be a divisor of lead (6 h)",
     "GEM --lead 6 --sums 6 --events 2":
         f"--lead = 6: must be a multiple of 24 h, the finest lead time of {GEM}",
-    "GEM": f"{GEM}: FORECASTS = '{GEM}': include no complete sum in the period of the records: the",
+    "GEM": f"{GEM}: include no complete sum in the period of the records: the",
 }
 
 
@@ -221,3 +222,22 @@ def test_notes_of_what_was_left_out(tmp_path: Path) -> None:
     notes = [line for line in done.stderr.splitlines() if line.startswith("note: ")]
     part = "archive.csv, issue of 2024-03-03T00:00+00:00: is used only for 23 of 24 hours"
     assert any(part in note for note in notes), (part, notes)
+
+
+def test_forecasts_of_another_place_are_a_warning(tmp_path: Path) -> None:
+    """And the function gives what the command writes."""
+    rng = np.random.default_rng(7)
+    fell, elsewhere = rng.gamma(0.5, 2.0, (2, 1300)) * (rng.random((2, 1300)) < 0.06)
+    write_gauge(tmp_path / "gauge.csv", fell)
+    (tmp_path / "other.csv").write_text(write_forecasts([
+        issue_of(FIRST + hour * HOUR, elsewhere[None, hour:hour + 24])
+        for hour in range(0, 1300, 24)
+    ]))
+    made = verify(tmp_path / "other.csv", [str(tmp_path / "gauge.csv")], horizon=24)
+    assert "unrelated to the records" in made.warnings[0]
+    rows = scores(tmp_path, "other.csv", "--weather", "gauge.csv", "--horizon", "24")
+    for row, ours in zip(rows, made.table.to_dicts(), strict=True):
+        assert {name: float(text or "nan") for name, text in row.items()} == pytest.approx(
+            {name: math.nan if value is None else value for name, value in ours.items()},
+            nan_ok=True,
+        )
