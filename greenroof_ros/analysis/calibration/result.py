@@ -113,7 +113,7 @@ class Calibration:
         halves: steps of the record that were fitted (``fit``) and validated (``validation``).
         fit: the parameters, and the record as simulated.
         scores: scores of every quantity in either half.
-        warnings: what is implausible in the record, or wrong with the fit.
+        warnings: what is wrong with the fit.
         notes: other findings for the reader.
     """
 
@@ -148,7 +148,7 @@ def calibrate(
     record = read_bag_record(source, start) if is_bag else read_csv_record(source, start, months)
     counts = select_months(record, months)
     counted = record.select(counts)
-    warnings = check_record(counted, start)
+    check_record(counted)
     halves = halve_steps(record, select_comparable(record) & counts)
     _refuse_dry(record, halves)
     own = start.percolation_exponent
@@ -162,7 +162,7 @@ def calibrate(
         )
         for name, series in record.measured.items() for part, steps in halves.items()
     ]
-    warnings += check_fit(scores, source)
+    warnings = check_fit(scores, source)
     notes = [*record.notes, *_list_notes(record, halves, start, fitted.site), of_exponents]
     entries = list_fit_entries(fitted, start.z_veg)
     heading = [
@@ -202,6 +202,13 @@ def _list_notes(
         "gaps, are in months that are not used, or follow a time in which a storm may have gone "
         "unrecorded"
     ]
+    if record.runoff is not None:
+        known = record.complete
+        came, gone = float(record.water[known].sum()), float(record.runoff[known].sum())
+        notes.append(
+            f"balance: of {came:.4g} mm of rain and pumped water, {gone:.4g} mm ran off "
+            f"({gone / came:.0%}); if that cannot be, check the units, the clocks and the sensors"
+        )
     if fitted.z_veg != before.z_veg:
         notes.append(
             f"target: z_veg was {before.z_veg:g} m, and the fitted roof holds "

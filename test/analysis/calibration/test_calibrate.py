@@ -13,7 +13,7 @@ from commands import run_command
 from graphs import environment
 from places import DATA
 from refusals import refusal
-from twins import TWIN, record_rows, summed, write
+from twins import TWIN, record_rows, write
 
 from greenroof_ros.analysis.calibration.result import format_fitted_site
 from greenroof_ros.base.files import shared_directory
@@ -119,31 +119,14 @@ def test_a_record_without_any_runoff_has_nothing_to_fit(fitted: Path, tmp_path: 
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_stuck_sensor_is_a_warning(fitted: Path, tmp_path: Path) -> None:
-    """A level that is stuck for two weeks: output, page and site file state this."""
-    rows = summed(record_rows(TWIN, 45, 1, gaps=False), 1)
-    for row in rows[1 + 5 * 24:1 + 20 * 24]:
-        row[3] = "0.0300"
-    file = write(rows, tmp_path / "stuck.csv")
-    done = calibrate(
-        tmp_path, file.name, "--site", str(fitted / "site.yaml"), "-o", "new.yaml"
-    )
-    assert done.returncode == 0, done.stderr
-    warning = "level is 0.03 m for "
-    assert f"warning: {warning}" in done.stderr
-    assert f"# {warning}" in (tmp_path / "new.yaml").read_text(encoding="utf-8")
-    page = (tmp_path / "new.html").read_text(encoding="utf-8")
-    assert "Do not use this fit before" in page.split("</header>")[0] and warning in page
-
-
 def test_the_page_says_what_was_found(fitted: Path) -> None:
     with drawn_page(fitted / "fitted.html") as page:
-        assert page.inner_text("#answer").startswith("In the half that was not used for the fit, the ")
+        assert page.inner_text("#answer").startswith("In the half that was not used for the fit, ")
         words = page.inner_text("main")
         assert "field_capacity" in words and page.locator("figure img").count() == 4
         read = page.locator("section:has-text('What was read') li").all_inner_texts()
         assert read[1].startswith("rain ") and read[3].startswith("missing: ")
         assert {note.split(":")[0] for note in read[4:]} >= {
-            "compared", "target", "percolation_exponent"
+            "balance", "compared", "target", "percolation_exponent"
         }
         assert "The crop_coefficient applies only if evapotranspiration is computed" in words

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 from refusals import refusal
-from twins import TWIN, a_record
+from twins import a_record
 
 from greenroof_ros.analysis.calibration.checks import check_fit, check_record
 from greenroof_ros.analysis.calibration.scores import FitScores, score
@@ -17,9 +17,9 @@ def test_too_little_for_a_fit() -> None:
     rain = np.where(np.arange(3000) % 100 == 0, 1.0, 0.0)
     nothing = np.full(3000, np.nan)
     empty = a_record(rain, level=nothing)
-    refusal(check_record, empty, TWIN, match="level: has 0 values; a fit needs")
+    refusal(check_record, empty, match="level: has 0 values; a fit needs")
     wet = a_record(rain / 1000, level=np.linspace(0, 0.02, 3000))
-    refusal(check_record, wet, TWIN, match="rain: is 0.03 mm in total, .* Is the unit of the")
+    refusal(check_record, wet, match="rain: is 0.03 mm in total, .* Is the unit of the")
 
 
 FILE = Path("roof.csv")
