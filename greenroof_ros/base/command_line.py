@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import functools
+import inspect
 import io
 import math
 import os
@@ -16,6 +17,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 from greenroof_ros.base.errors import (
     ConfigurationError,
+    FailedError,
     OccupiedError,
     describe_choices,
     find_similar,
@@ -65,10 +67,11 @@ def command(
     """Turn a function into a command that exits with the function's return value, or with 0.
 
     A :class:`ConfigurationError` is reported in one line on standard error, with exit code 2, or 3
-    if another graph is running. A file or an output that cannot be written is reported in one line
-    with exit code 1. A signal that asks the command to stop, such as Ctrl-C, results in exit code
-    130. No traceback is printed in any of these cases. If the reader of the output has closed it,
-    as after ``| head``, nothing is printed and the exit code is 1.
+    if another graph is running. A :class:`FailedError`, or a file or an output that cannot be
+    written, is reported in one line with exit code 1. A signal that asks the command to stop, such
+    as Ctrl-C, results in exit code 130. No traceback is printed in any of these cases. If the
+    reader of the output has closed it, as after ``| head``, nothing is printed and the exit code
+    is 1.
 
     Args:
         main: the function to turn into a command.
@@ -87,6 +90,9 @@ def command(
         except (ConfigurationError, argparse.ArgumentError) as error:
             print_error(str(error))
             code = failed or exit_code(error)
+        except FailedError as error:
+            print_error(str(error))
+            code = failed or EXIT_FAILED
         except (InterruptedRun, KeyboardInterrupt) as error:
             print(escape(str(error)) or "interrupted", file=sys.stderr)
             code = EXIT_INTERRUPTED
@@ -104,7 +110,7 @@ def command(
         end_with_parent()
         if isinstance(sys.stdout, io.TextIOWrapper):  # not if a Python caller replaced it
             sys.stdout.reconfigure(line_buffering=True)
-        sys.exit(run())
+        sys.exit(run() or EXIT_DONE)
 
     return wrapper
 
@@ -155,6 +161,23 @@ class Parser(argparse.ArgumentParser):
         if action.choices is not None and value not in action.choices:
             wrong = f"{value!r} {describe_choices([*action.choices], str(value))}"
             raise argparse.ArgumentError(action, wrong)
+
+
+def command_parser(name: str, text: str | None, usage: str = "[options]") -> Parser:
+    """Return the parser of a command whose help is a docstring, as a rule that of its module.
+
+    Args:
+        name: name of the command.
+        text: the docstring, which from its examples or exit codes on is printed after the options.
+        usage: the command's arguments in its usage line.
+    """
+    about, *more = re.split(
+        r"\n\n(?=Examples?:|Exit codes)", inspect.cleandoc(text or ""), maxsplit=1
+    )
+    return Parser(
+        prog=f"greenroof {name}", usage=f"%(prog)s {usage}", description=about,
+        epilog="".join(more),
+    )
 
 
 def make_number_type(
@@ -216,6 +239,8 @@ def add_option(group: argparse._ArgumentGroup, parameter: Parameter, **settings:
         settings["choices"] = parameter.among
     if isinstance(default, float):
         default = None if math.isnan(default) else f"{default:g}"
+    if parameter.usual is not None:
+        about.append("usually {:g} to {:g}".format(*parameter.usual))
     if default is not None:
         about.append(f"default: {default}")
     end = f" ({', '.join(about)})" if about else ""

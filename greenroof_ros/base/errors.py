@@ -79,6 +79,10 @@ def rename_keys(names: Mapping[str, str]) -> Iterator[None]:
         raise ConfigurationError(error.expected, key=name, value=error.value) from error
 
 
+class FailedError(Exception):
+    """Raised if what a command was asked for could not be done; the command exits with code 1."""
+
+
 class HangError(Exception):
     """Raised if a callback takes too long; the message states the time limit and the position."""
 

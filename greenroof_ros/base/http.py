@@ -16,7 +16,7 @@ from urllib3 import PoolManager, ProxyManager, Retry, Timeout
 from urllib3.exceptions import HTTPError, InvalidHeader, LocationParseError
 from urllib3.util import Url, make_headers, parse_url
 
-from greenroof_ros.base.errors import ConfigurationError
+from greenroof_ros.base.errors import ConfigurationError, FailedError
 from greenroof_ros.base.text import clean_text
 
 ANSWER_S = 60.0
@@ -43,7 +43,7 @@ _RETRY = Retry(
 )
 
 
-class ServiceError(Exception):
+class ServiceError(FailedError):
     """Raised if a service sends no usable response; the message states the reason.
 
     Attributes:

@@ -66,7 +66,7 @@ class Parameter:
     @property
     def whole(self) -> bool:
         """Whether the value is an integer."""
-        return isinstance(self.default, int)
+        return isinstance(self.default, int) or self.kind in (int, int | None)
 
     @property
     def description(self) -> str:

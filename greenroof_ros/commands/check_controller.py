@@ -1,8 +1,29 @@
-"""Check a controller, which is a class or a running node: ``greenroof check-controller``."""
+"""Check that a controller behaves as the node graph, simulate, studies and reports require.
+
+Its commands must be finite, not negative, and the same for the same inputs, and it must cope with
+skipped ticks, with missing forecasts and with its parameters.
+
+With --node, check a running node, in any language, for 'greenroof run --controller external'. The
+check takes the place of all other nodes, so do not start a run. At the end, it stops the node.
+
+Examples:
+  greenroof check-controller my_package.my_module:MyController
+  python my_node.py &
+  greenroof check-controller --node controller
+
+Exit codes: 0 all checks passed, 1 a check failed, 2 the controller cannot be imported or the node
+was not found, 3 a graph is running
+"""
 
 from __future__ import annotations
 
-from greenroof_ros.base.command_line import Parser, add_site, command, make_number_type
+from greenroof_ros.base.command_line import (
+    Parser,
+    add_site,
+    command,
+    command_parser,
+    make_number_type,
+)
 from greenroof_ros.controllers.check import check_controller
 from greenroof_ros.controllers.registry import BUILT_IN, find_controller
 from greenroof_ros.nodes.check_results import NODE, print_results
@@ -13,19 +34,7 @@ from greenroof_ros.site.horizon import MAX_HORIZON
 
 def make_parser() -> Parser:
     """Return the command's parser."""
-    parser = Parser(
-        prog="greenroof check-controller",
-        description="Check that a controller behaves as the node graph, simulate, studies and "
-        "reports require: its commands are finite, not negative, and the same for the same inputs, "
-        "and it copes with skipped ticks, with missing forecasts and with its parameters.\n\n"
-        "With --node, check a running node, in any language, for 'greenroof run --controller "
-        "external'. The check takes the place of all other nodes, so do not start a run. At the "
-        "end, it stops the node.",
-        epilog="examples:\n  greenroof check-controller my_package.my_module:MyController\n"
-        "  python my_node.py &\n  greenroof check-controller --node controller\n\n"
-        "exit codes: 0 all checks passed, 1 a check failed, 2 the controller cannot be "
-        "imported or the node was not found, 3 a graph is running",
-    )
+    parser = command_parser("check-controller", __doc__, "(CONTROLLER | --node NAME) [options]")
     subject = parser.add_mutually_exclusive_group(required=True)
     subject.add_argument(
         "controller", nargs="?", metavar="CONTROLLER",

@@ -1,31 +1,36 @@
-"""Check whether a pump driver complies with the interface: ``greenroof check-pump``."""
+"""Check through topics whether a running pump driver, in any language, follows the interface.
+
+THE PUMP WILL RUN, while its driver receives invented levels and invented weather: with a real pump,
+make sure that there is water in the cistern, room on the roof and no frost. The check takes the
+place of all other nodes, so do not start a run.
+
+The flows that the driver reports are the only evidence: topics cannot show whether the pump's shaft
+has really stopped, so watch the pump.
+
+Example:
+  python my_driver.py &
+  greenroof check-pump --node pump
+
+Exit codes: 0 all checks passed, 1 a check failed, 2 the driver was not found, 3 a graph is running
+"""
 
 from __future__ import annotations
 
-from greenroof_ros.base.command_line import Parser, add_site, command, make_number_type
+from greenroof_ros.base.command_line import (
+    Parser,
+    add_site,
+    command,
+    command_parser,
+    make_number_type,
+)
 from greenroof_ros.nodes.check_results import NODE, print_results
 from greenroof_ros.ros.domain import prepare_ros
 from greenroof_ros.site.file import read_site
 
-_LIMIT = (
-    "The flows that the driver reports are the only evidence: topics cannot show whether the "
-    "pump's shaft has really stopped, so watch the pump."
-)
-
 
 def make_parser() -> Parser:
     """Return the command's parser."""
-    parser = Parser(
-        prog="greenroof check-pump",
-        description="Check through topics whether a running pump driver, in any language, follows "
-        "the interface.\n\nTHE PUMP WILL RUN, while its driver receives invented levels and "
-        "invented weather: with a real pump, make sure that there is water in the cistern, room on "
-        "the roof and no frost. The check takes the place of all other nodes, so do not start a "
-        f"run.\n\n{_LIMIT}",
-        epilog="example:\n  python my_driver.py &\n  greenroof check-pump --node pump\n\n"
-        "exit codes: 0 all checks passed, 1 a check failed, 2 the driver was not found, 3 a "
-        "graph is running",
-    )
+    parser = command_parser("check-pump", __doc__, "--node NAME [options]")
     parser.add_argument("--node", required=True, metavar="NAME", help=NODE)
     parser.add_argument(
         "--command", type=make_number_type(0.001, 1.0), default=0.5, metavar="SHARE",
@@ -57,5 +62,5 @@ def main() -> int:
         arguments.node, site, command=arguments.command, period=arguments.period,
         live=arguments.live,
     )))
-    print(_LIMIT)
+    print("Topics cannot show whether the pump's shaft has really stopped, so watch the pump.")
     return code

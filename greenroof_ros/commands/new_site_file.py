@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections import ChainMap
 from collections.abc import Mapping
 from pathlib import Path
 from string import Template
@@ -48,40 +49,32 @@ def format_new_site(
         valve: whether the cistern has a low outlet with a valve.
         mains: whether mains water is added when the cistern is nearly empty.
     """
-    substrate = SUBSTRATES[given.get("substrate", ASSUMED["substrate"])]
+    values = ChainMap({**given}, ASSUMED)
+
+    def number(key: str) -> float:
+        return float(values[key])
+
+    substrate = SUBSTRATES[values["substrate"]]
     depth = given.get("substrate_depth", substrate["depth"])
     capacity, wilting = substrate["field_capacity"], substrate["wilting_point"]
     onset = depth * (wilting + (1 - substrate["depletion_fraction"]) * (capacity - wilting))
     # As recommended in doc/howto/choose-target-and-controller.md.
-    day = _DAY * float(ASSUMED["crop_coefficient"])
+    day = _DAY * number("crop_coefficient")
     target = math.floor(1e4 * min(onset + day, _MAX_FILLED * depth * capacity)) / 1e4
     litres = given.get("pump_flow") or given.get("emitters", 0) * given.get("emitter_flow", 0.0)
-    litres = litres or given.get("irrigation_rate", float(ASSUMED["irrigation_rate"])) * (
-        given["roof_area"]
-    )
-    height = given.get("cistern_height", float(ASSUMED["cistern_height"]))
-    zone = given.get("time_zone")
+    litres = litres or number("irrigation_rate") * given["roof_area"]
+    height, volume, zone = number("cistern_height"), given["cistern_volume"], given.get("time_zone")
     computed = {
-        "no_zone": zone is None,
-        "no_mains": not mains,
-        "no_valve": not valve,
+        "no_zone": zone is None, "no_mains": not mains, "no_valve": not valve,
         "no_rate": not given.keys().isdisjoint(("pump_flow", "emitters")),
         "utc_offset": standard_offset(zone) if zone else float(round(given["longitude"] / 15)),
         "mains_flow": max(_MAINS_FLOW, float(f"{1.2 * litres * LITRES_PER_HOUR:.2g}")),
-        "overflow": _find_overflow_radius(
-            given["catchment_area"], float(given.get("d", ASSUMED["d"])) - height
-        ),
-        "much_rain": f"{MUCH_RAIN:g}",
-        "valve_radius": _find_radius(given["cistern_volume"], height, height - 0.1),
-        "middle": height / 2,
-        "orifice_radius": _find_radius(given["cistern_volume"], height, height / 2),
-        "substrates": ", ".join(SUBSTRATES),
-        "depth": depth,
-        "target": target,
-        "onset": f"{1000 * onset:.1f}",
-        "day": f"{1000 * day:.1f}",
-        "litres": f"{litres:.3g}",
-        "half": given["cistern_volume"] / 2,
+        "overflow": _find_overflow_radius(given["catchment_area"], number("d") - height),
+        "valve_radius": _find_radius(volume, height, height - 0.1),
+        "orifice_radius": _find_radius(volume, height, height / 2),
+        "much_rain": f"{MUCH_RAIN:g}", "middle": height / 2, "substrates": ", ".join(SUBSTRATES),
+        "depth": depth, "target": target, "onset": f"{1000 * onset:.1f}",
+        "day": f"{1000 * day:.1f}", "litres": f"{litres:.3g}", "half": volume / 2,
         "roof_volume": float(f"{given.get('z_veg', target) * given['roof_area']:.6g}"),
     }
     text = Template(_TEMPLATE).substitute({key: _format(value) for key, value in computed.items()})

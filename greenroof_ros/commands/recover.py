@@ -1,4 +1,11 @@
-"""Repair a damaged bag, or the bag of a run that was killed: ``greenroof recover DIR``."""
+"""Repair a damaged bag, or the bag of a run that was killed or ran out of disk space.
+
+All intact data are copied to a new bag next to the old bag, which is left unchanged. A later report
+on the run uses the new bag.
+
+Exit codes: 0 the new bag contains all recorded data, 1 some data were lost, as stated in the
+output, 2 nothing could be recovered, or bad usage
+"""
 
 from __future__ import annotations
 
@@ -9,7 +16,14 @@ from typing import NamedTuple
 
 from mcap.records import Channel, Message, Schema
 
-from greenroof_ros.base.command_line import EXIT_DONE, EXIT_FAILED, Parser, command, print_lines
+from greenroof_ros.base.command_line import (
+    EXIT_DONE,
+    EXIT_FAILED,
+    Parser,
+    command,
+    command_parser,
+    print_lines,
+)
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.text import escape
 from greenroof_ros.base.times import from_epoch_ns, to_people
@@ -58,28 +72,25 @@ def recover(directory: Path, output: Path | None = None) -> Recovered:
     target = output or name_recovered_bag(bag)
     if target.exists():
         raise ConfigurationError("already exists; nothing was written", file=target)
-    copies: list[Path] = []
-    recorded, counts = read_recorded(bag), dict[str, int]()
-    losses: list[str] = []
+    recorded, counts, losses = read_recorded(bag), dict[str, int](), list[str]()
     try:
         target.mkdir(parents=True)
         for file in files:
             copy = name_next_file(target)
             counts[file.name], lost = _copy_file(file, copy, recorded.get(file.name, (0, 0)))
             losses += lost
-            if counts[file.name]:
-                copies.append(copy)
-            else:
+            if not counts[file.name]:
                 copy.unlink(missing_ok=True)
+        copies = find_files(target)
         write_metadata(target, copies)
     except OSError as error:
         shutil.rmtree(target, ignore_errors=True)
         raise ConfigurationError(
-            f"cannot be written: {error.strerror}; use --output to write the bag "
-            "elsewhere", file=target
+            f"cannot be written: {error.strerror}; use --output to write the bag elsewhere",
+            file=target,
         ) from error
     if not copies:
-        target.rmdir()
+        shutil.rmtree(target)
         raise ConfigurationError("does not contain an intact chunk of messages", file=bag)
     losses += [
         f"{name}: {missing} of its {had} messages are lost" for name, (had, _) in recorded.items()
@@ -96,13 +107,15 @@ def _copy_file(file: Path, copy: Path, had: tuple[int, int]) -> tuple[int, list[
         copy: its copy, which must not exist.
         had: the file's number of messages and its size (bytes) when it was closed; 0 if unknown.
     """
+    def lose(size: int, end: str) -> None:
+        start = "the beginning" if last is None else to_people(from_epoch_ns(last))
+        losses.append(f"{file.name}: {size} bytes are lost between {start} and {end}")
+
     try:
         stream = file.open("rb")
     except OSError as error:
         return 0, [f"{file.name} cannot be read: {error.strerror}"]
-    schemas: set[int] = set()
-    channels: set[int] = set()
-    losses: list[str] = []
+    seen, losses = set[tuple[type, int]](), list[str]()
     copied = lost = 0
     last: int | None = None  # time of the last message written (ns)
     size = os.fstat(stream.fileno()).st_size
@@ -110,19 +123,16 @@ def _copy_file(file: Path, copy: Path, had: tuple[int, int]) -> tuple[int, list[
         writer = McapWriter(output)
         for length, records in read_chunks(stream):
             for record in records:
-                if isinstance(record, Schema) and record.id not in schemas:
-                    schemas.add(record.id)
-                    writer.add(record)
-                elif isinstance(record, Channel) and record.id not in channels:
-                    channels.add(record.id)
-                    if record.schema_id not in schemas:
+                if isinstance(record, Schema | Channel) and (type(record), record.id) not in seen:
+                    seen.add((type(record), record.id))
+                    if isinstance(record, Channel) and (Schema, record.schema_id) not in seen:
                         record.schema_id = 0  # its type was defined in the lost part
                     writer.add(record)
             messages = [record for record in records if isinstance(record, Message)]
             # The topics of the others were defined in the lost part.
-            known = [message for message in messages if message.channel_id in channels]
+            known = [message for message in messages if (Channel, message.channel_id) in seen]
             if known and lost:
-                losses.append(_describe_loss(file, lost, last, known[0].log_time))
+                lose(lost, to_people(from_epoch_ns(known[0].log_time)))
                 lost = 0
             for message in known:
                 last = message.log_time
@@ -137,27 +147,13 @@ def _copy_file(file: Path, copy: Path, had: tuple[int, int]) -> tuple[int, list[
     if copied < had[0]:
         lost += max(0, had[1] - size)  # cut off
     if lost:
-        losses.append(_describe_loss(file, lost, last, None))
+        lose(lost, "the end")
     return copied, losses
-
-
-def _describe_loss(file: Path, size: int, before: int | None, after: int | None) -> str:
-    """Describe a loss, given the times of the messages before and after the loss (ns)."""
-    start = "the beginning" if before is None else to_people(from_epoch_ns(before))
-    end = "the end" if after is None else to_people(from_epoch_ns(after))
-    return f"{file.name}: {size} bytes are lost between {start} and {end}"
 
 
 def make_parser() -> Parser:
     """Return the command's parser."""
-    parser = Parser(
-        prog="greenroof recover",
-        description="Repair a damaged bag, or the bag of a run that was killed or ran out of disk "
-        "space. All intact data are copied to a new bag next to the old bag, which is left "
-        "unchanged. A later report on the run uses the new bag.",
-        epilog="exit codes: 0 the new bag contains all recorded data, 1 some data were lost, as "
-        "stated in the output, 2 nothing could be recovered, or bad usage",
-    )
+    parser = command_parser("recover", __doc__, "DIR [options]")
     parser.add_argument(
         "directory", type=Path, metavar="DIR",
         help="bag to repair, or run directory that contains the bag to repair",

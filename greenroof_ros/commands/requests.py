@@ -1,12 +1,14 @@
 """Requests to the node of the pump or of the outlet valve.
 
 They are ``greenroof hold``, ``release``, ``reset`` and ``dose``, and those that begin with
-``greenroof outlet``.
+``greenroof outlet``. The docstring of each request is its help, in which the words of the device
+are left open.
 """
 
 from __future__ import annotations
 
 import argparse
+import inspect
 import sys
 import time
 from collections.abc import Callable
@@ -14,13 +16,8 @@ from contextlib import closing
 from dataclasses import dataclass, replace
 from typing import Any, NoReturn
 
-from greenroof_ros.base.command_line import (
-    EXIT_DONE,
-    EXIT_FAILED,
-    Parser,
-    command,
-    make_number_type,
-)
+from greenroof_ros.base.command_line import Parser, command, command_parser, make_number_type
+from greenroof_ros.base.text import escape
 from greenroof_ros.base.times import parse_time, to_people
 from greenroof_ros.interface.states import PUMP, VALVE
 from greenroof_ros.ros.domain import add_namespace
@@ -40,17 +37,14 @@ _POLL_S = 0.1
 # The number in a duration, at most ten years in hours; and the units (s), hours if there is none.
 _read_number = make_number_type(0.001, 87_600)
 _UNITS = {"s": 1.0, "min": 60.0, "d": 86_400.0, "h": 3600.0, "": 3600.0}
-# The words of each device in a description.
+_OWNER = "the command line"
+# The words of each device in the help.
 _WORDS = {
     PUMP: {"device": "pump", "off": "off", "starts": "starts", "group": "greenroof"},
     VALVE: {
         "device": "outlet valve", "off": "closed", "starts": "opens", "group": "greenroof outlet"
     },
 }
-_QUESTION = (
-    "The {0} may start moving as soon as the fault is cleared. Have you remedied its cause, and "
-    "made sure that no one is working on the {0}? [y/N] "
-)
 
 
 @dataclass(frozen=True)
@@ -59,31 +53,23 @@ class Request:
 
     Attributes:
         name: name of the command.
-        done: state of the pump or the valve after a successful request, as worded in the list of
-            exit codes.
-        description: description for the help, in which the words of the device are left open.
         request: function that makes the request, given the command line and the nodes' reports, and
-            returns the outcome.
+            returns the outcome; its docstring is the help.
         add_options: function that adds the command's own options.
-        examples: examples for the help.
         role: role of the node.
     """
 
     name: str
-    done: str
-    description: str
     request: Callable[[GraphClient, argparse.Namespace, Reports], str]
     add_options: Callable[[Parser], object] = lambda parser: None
-    examples: str = ""
     role: str = PUMP
 
     def make_parser(self) -> Parser:
         """Return the command's parser."""
-        prog = f"greenroof {self.name}"
-        parser = Parser(
-            prog=prog, description=self.description.format(**_WORDS[self.role]),
-            epilog=f"{self.examples.format(prog=prog)}exit codes: 0 {self.done}, "
-            f"1 not {self.done}, or not confirmed, 2 bad usage",
+        text = inspect.getdoc(self.request) or ""
+        parser = command_parser(
+            self.name, text.format(prog=f"greenroof {self.name}", **_WORDS[self.role])
+            + "\n\nExit codes: 0 done, 1 not done, or not confirmed, 2 bad usage"
         )
         self.add_options(parser)
         add_namespace(parser)
@@ -93,7 +79,7 @@ class Request:
         """Make the request, print the answer, and exit."""
         command(self._run)()
 
-    def _run(self) -> int:
+    def _run(self) -> None:
         arguments = self.make_parser().parse_args(namespace=argparse.Namespace(role=self.role))
         reports = Reports(arguments.namespace)
 
@@ -101,13 +87,34 @@ class Request:
             if name == DIAGNOSTICS and (received := read_message(name, message)) is not None:
                 reports.receive(time.monotonic(), received[1])
 
-        try:
-            with closing(GraphClient(arguments.namespace, receive)) as client:
-                print(self.request(client, arguments, reports))
-        except RequestError as failure:
-            print(f"error: {failure}", file=sys.stderr)
-            return EXIT_FAILED
-        return EXIT_DONE
+        with closing(GraphClient(arguments.namespace, receive)) as client:
+            print(self.request(client, arguments, reports))
+
+
+def _parse_future_time(text: str) -> float:
+    """Return a future time (s since 1970); if the clock shows it twice, return the later one."""
+    try:
+        end = max(parse_time(text).replace(fold=fold).astimezone() for fold in (0, 1))
+    except ValueError:
+        raise argparse.ArgumentTypeError(
+            f"must be a time such as 2026-12-24T08:00, not {text}"
+        ) from None
+    if end.timestamp() <= time.time():
+        now = to_people(end.now().astimezone().replace(microsecond=0))
+        raise argparse.ArgumentTypeError(
+            f"must be in the future, not {text}; the time is now {now}"
+        )
+    return end.timestamp()
+
+
+def _parse_duration(text: str) -> float:
+    """Return a duration (s) such as ``30min``; a number without a unit is in hours."""
+    unit = next(unit for unit in _UNITS if text.endswith(unit))
+    return _read_number(text.removesuffix(unit)) * _UNITS[unit]
+
+
+# argparse and the documentation show this name.
+_parse_future_time.__name__ = _parse_duration.__name__ = "TIME"
 
 
 def _add_hold_options(parser: Parser) -> None:
@@ -127,46 +134,33 @@ def _add_hold_options(parser: Parser) -> None:
     )
 
 
-def _parse_future_time(text: str) -> float:
-    """Return a future time (s since 1970); if the clock shows it twice, return the later one."""
-    try:
-        end = max(parse_time(text).replace(fold=fold).astimezone() for fold in (0, 1))
-    except ValueError:
-        raise argparse.ArgumentTypeError(
-            f"must be a time such as 2026-12-24T08:00, not {text}"
-        ) from None
-    if end.timestamp() <= time.time():
-        now = to_people(end.now().astimezone().replace(microsecond=0))
-        raise argparse.ArgumentTypeError(
-            f"must be in the future, not {text}; the time is now {now}"
-        )
-    return end.timestamp()
-
-
-_parse_future_time.__name__ = "TIME"  # argparse and the documentation show this
-
-
-def _parse_duration(text: str) -> float:
-    """Return a duration (s) such as ``30min``; a number without a unit is in hours."""
-    unit = next(unit for unit in _UNITS if text.endswith(unit))
-    return _read_number(text.removesuffix(unit)) * _UNITS[unit]
-
-
-_parse_duration.__name__ = "TIME"
-
-
 def _hold(client: GraphClient, arguments: argparse.Namespace, _: Reports) -> str:
+    """Keep the {device} {off} until '{group} release' or a given time.
+
+    It stays {off} regardless of its command, and even after a restart. There is only one hold at a
+    time: a new hold replaces the owner and the reason of the earlier hold, but never ends before
+    the earlier hold would have ended.
+
+    Examples:
+      {prog} --reason 'the roof is being repaired'
+      {prog} --until 2026-12-24T08:00
+      {prog} --for 48h
+    """
     until = arguments.until
     if arguments.seconds is not None:
         until = time.time() + arguments.seconds
     end = {} if until is None else {"until": until}
     return client.request(
-        "stop", _PATIENCE_S, arguments.role, owner="the command line", reason=arguments.reason,
-        **end,
+        "stop", _PATIENCE_S, arguments.role, owner=_OWNER, reason=arguments.reason, **end
     )
 
 
 def _release(client: GraphClient, arguments: argparse.Namespace, _: Reports) -> str:
+    """End the hold of the {device}, whoever requested it.
+
+    The {device} then {starts} automatically when the controller requires it and nothing else keeps
+    it {off}. A fault is not cleared.
+    """
     return client.request("release", _PATIENCE_S, arguments.role)
 
 
@@ -178,8 +172,15 @@ def _add_open_options(parser: Parser) -> None:
 
 
 def _open(client: GraphClient, arguments: argparse.Namespace, _: Reports) -> str:
+    """Open the valve of the cistern's low outlet for a limited time, regardless of its command.
+
+    It closes earlier if an interlock requires that, or by '{group} close'.
+
+    Example:
+      {prog} --for 30min
+    """
     until = time.time() + arguments.seconds
-    return client.request("open", _PATIENCE_S, VALVE, owner="the command line", until=until)
+    return client.request("open", _PATIENCE_S, VALVE, owner=_OWNER, until=until)
 
 
 def _add_dose_options(parser: Parser) -> None:
@@ -190,7 +191,16 @@ def _add_dose_options(parser: Parser) -> None:
 
 
 def _dose(client: GraphClient, arguments: argparse.Namespace, reports: Reports) -> str:
-    """Request a dose, and print its progress until the dose ends."""
+    """Deliver a volume now, and print the progress until the dose ends.
+
+    The volume is delivered regardless of the controller's command, if the site file allows doses
+    (max_dose) and no interlock is active. A dose never fills the roof above its target. If an
+    interlock becomes active, or if the pump cannot start within a minute, the dose is abandoned and
+    does not resume. Ctrl-C ends this command but not the dose; to end the dose, stop the pump.
+
+    Example:
+      {prog} --litres 200
+    """
     requested_at, sentence = time.time(), ""
     client.request("dose", _PATIENCE_S, volume=arguments.litres / 1000, asked_at=requested_at)
     accepted = time.monotonic()
@@ -223,13 +233,19 @@ def _add_reset_options(parser: Parser) -> None:
 
 
 def _reset(client: GraphClient, arguments: argparse.Namespace, reports: Reports) -> str:
+    """Clear a latched fault of the {device}, in its node and in its drive or relay.
+
+    The command is intended for a person standing at the {device} who has remedied the cause of the
+    fault, and asks for confirmation first. A hold stays in force until '{group} release'. After a
+    reset, the {device} {starts} when the controller requires it and nothing else keeps it {off}.
+    """
     if not arguments.yes:
         until = time.monotonic() + _REPORT_S
         while (node := reports.node(arguments.role)) is None and time.monotonic() < until:
             time.sleep(_POLL_S)
             client.receive()
         if node is not None and (fault := node.values.get("fault")):
-            print(f"The fault: {fault}", file=sys.stderr)
+            print(escape(f"The fault: {fault}"), file=sys.stderr)
         if not _ask_to_confirm(arguments.role):
             raise RequestError("not cleared: the request was not confirmed")
     return client.request("reset", _PATIENCE_S, arguments.role)
@@ -238,51 +254,20 @@ def _reset(client: GraphClient, arguments: argparse.Namespace, reports: Reports)
 def _ask_to_confirm(role: str) -> bool:
     """Ask for confirmation on the terminal; treat a missing answer as no."""
     try:
-        return input(_QUESTION.format(role)).strip().lower() in ("y", "yes")
+        return input(
+            f"The {role} may start moving as soon as the fault is cleared. Have you remedied its "
+            f"cause, and made sure that no one is working on the {role}? [y/N] "
+        ).strip().lower() in ("y", "yes")
     except EOFError:
         print(file=sys.stderr)
         return False
 
 
-HOLD = Request(
-    "hold", "held",
-    "Keep the {device} {off}, regardless of its command and even after a restart, until '{group} "
-    "release' or a given time. There is only one hold at a time: a new hold replaces the owner "
-    "and the reason of the earlier hold, but never ends before the earlier hold would have ended.",
-    _hold, _add_hold_options,
-    "examples:\n  {prog} --reason 'the roof is being repaired'\n"
-    "  {prog} --until 2026-12-24T08:00\n  {prog} --for 48h\n\n",
-)
-RELEASE = Request(
-    "release", "released",
-    "End the hold of the {device}, whoever requested it. The {device} then {starts} automatically "
-    "when the controller requires it and nothing else keeps it {off}. A fault is not cleared.",
-    _release,
-)
-RESET = Request(
-    "reset", "cleared",
-    "Clear a latched fault of the {device}, in its node and in its drive or relay, once the cause "
-    "of the fault has been remedied. The command is intended for a person standing at the "
-    "{device}, and asks for confirmation first. A hold stays in force until '{group} release'. "
-    "After a reset, the {device} {starts} when the controller requires it and nothing else keeps "
-    "it {off}.",
-    _reset, _add_reset_options,
-)
-DOSE = Request(
-    "dose", "delivered",
-    "Deliver a volume now, regardless of the controller's command, if the site file allows "
-    "doses (max_dose) and no interlock is active. A dose never fills the roof above its target. "
-    "If an interlock becomes active, or if the pump cannot start within a minute, the dose is "
-    "abandoned and does not resume. Ctrl-C ends this command but not the dose; to end the dose, "
-    "stop the pump.",
-    _dose, _add_dose_options, "example:\n  {prog} --litres 200\n\n",
-)
-OUTLET_OPEN = Request(
-    "outlet open", "opened",
-    "Open the valve of the cistern's low outlet for a limited time, regardless of its command. It "
-    "closes earlier if an interlock requires that, or by '{group} close'.",
-    _open, _add_open_options, "example:\n  {prog} --for 30min\n\n", VALVE,
-)
+HOLD = Request("hold", _hold, _add_hold_options)
+RELEASE = Request("release", _release)
+RESET = Request("reset", _reset, _add_reset_options)
+DOSE = Request("dose", _dose, _add_dose_options)
+OUTLET_OPEN = Request("outlet open", _open, _add_open_options, VALVE)
 OUTLET_CLOSE = replace(HOLD, name="outlet close", role=VALVE)
 OUTLET_RELEASE = replace(RELEASE, name="outlet release", role=VALVE)
 OUTLET_RESET = replace(RESET, name="outlet reset", role=VALVE)

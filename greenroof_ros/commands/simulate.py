@@ -1,4 +1,16 @@
-"""Simulate a run in one process, without ROS: ``greenroof simulate``."""
+r"""Simulate the cistern, roof, pumps and controller with real weather in one process, without ROS.
+
+The results are bit-for-bit identical to those of the node graph (greenroof run).
+
+Examples:
+  greenroof simulate --controller lookahead --horizon 12 --trajectory
+  greenroof simulate --start 2021-07-08T05:00 --hours 6 --trajectory
+  greenroof simulate --controller lookahead --horizon 24 \
+      --forecast errors --forecast-skill real --forecast-seed 3
+  greenroof simulate --weather 'hourly_*.csv' --start 2021-07-01
+
+Exit codes: 0 done, 2 bad usage or configuration, or error in a controller's code, 130 interrupted
+"""
 
 from __future__ import annotations
 
@@ -14,17 +26,16 @@ from typing import Any
 
 import numpy as np
 
-from greenroof_ros.base.command_line import Parser, command, make_number_type
+from greenroof_ros.base.command_line import Parser, command, command_parser, make_number_type
 from greenroof_ros.base.files import add_path_to_errors
 from greenroof_ros.base.processes import InterruptedRun, Signals
 from greenroof_ros.base.times import hours_minutes_seconds
 from greenroof_ros.bringup.progress import RunProgress
 from greenroof_ros.controllers.onoff import OnOff
-from greenroof_ros.physics.sensor_and_pump import read_errors
-from greenroof_ros.results.trajectory import CSV, Trajectory, columns_of
+from greenroof_ros.results.trajectory import CSV, columns_of
 from greenroof_ros.simulation import screen, summary
 from greenroof_ros.simulation.directory import make_run_directory, write_configuration
-from greenroof_ros.simulation.loop import Simulation, Tick, simulate
+from greenroof_ros.simulation.loop import Simulation, simulate
 from greenroof_ros.simulation.options import (
     add_output_arguments,
     add_run_arguments,
@@ -41,21 +52,7 @@ _ROWS = 65_536
 
 def make_parser() -> Parser:
     """Return the command's parser."""
-    parser = Parser(
-        prog="greenroof simulate",
-        usage="%(prog)s [options]",
-        description="Simulate the cistern, roof, pumps and controller with real weather "
-        "in a single process, without ROS. The results are bit-for-bit identical to those of the "
-        "node graph (greenroof run).",
-        epilog="examples:\n"
-        "  greenroof simulate --controller lookahead --horizon 12 --trajectory\n"
-        "  greenroof simulate --start 2021-07-08T05:00 --hours 6 --trajectory\n"
-        "  greenroof simulate --controller lookahead --horizon 24 \\\n"
-        "      --forecast errors --forecast-skill real --forecast-seed 3\n"
-        "  greenroof simulate --weather 'hourly_*.csv' --start 2021-07-01\n\n"
-        "exit codes: 0 done, 2 bad usage or configuration, or error in a controller's code, 130 "
-        "interrupted",
-    )
+    parser = command_parser("simulate", __doc__)
     add_run_arguments(parser)
     group = add_output_arguments(parser)
     group.add_argument(
@@ -87,11 +84,9 @@ def main() -> None:
         write_configuration(directory, run, {})
         with RunProgress(run.steps, run.site.tau) as progress:
             if arguments.speed or run.controller.kind is not OnOff:
-                ticks = _paced(run, simulation.ticks(), arguments.speed, position, progress)
-                if every:
-                    ticks = _written(run, ticks, every, directory / CSV)
-                for _ in ticks:
-                    pass
+                _simulate_ticks(
+                    run, simulation, arguments.speed, every, directory / CSV, position, progress
+                )
                 result = simulation.summary()
             else:
                 result = _simulate_at_once(run, every, directory / CSV, position, progress)
@@ -131,84 +126,67 @@ def _described(run: Run, position: _At, directory: Path) -> Iterator[None]:
         raise InterruptedRun(reason) from error
 
 
-def _paced(
-    run: Run, ticks: Iterator[Tick], speed: float, position: _At, progress: RunProgress
-) -> Iterator[Tick]:
-    """Yield the ticks, at the given speed unless it is 0, and show the progress."""
+def _simulate_ticks(
+    run: Run, simulation: Simulation, speed: float, every: int, file: Path, position: _At,
+    progress: RunProgress,
+) -> None:
+    """Simulate tick by tick, at the given speed unless it is 0, and write each n-th tick."""
+    values = attrgetter(*(column.tick for column in _columns(run)))
     began = shown = time.monotonic()
-    for tick in ticks:
-        position.tick = tick.k
-        yield tick
-        now = time.monotonic()
-        if speed:
-            time.sleep(max(0.0, began + tick.k * run.site.tau / speed - now))
-        if now - shown > _INTERVAL_S or tick.k == run.steps:
-            position.signals.check()
-            shown = now
-            progress.show_tick(tick.k, tick.cistern_level, tick.roof_level, tick.command)
-
-
-def _written(run: Run, ticks: Iterator[Tick], every: int, file: Path) -> Iterator[Tick]:
-    """Yield the ticks, and write every n-th tick, and the last one, to a new file."""
-    values = attrgetter(*(column.tick for column in columns_of(run.site)))
-    with _open_trajectory(run, file) as write_row:
-        for tick in ticks:
-            if tick.k % every == 0 or tick.k == run.steps:
-                write_row(tick.k * run.site.tau, values(tick))
-            yield tick
+    with _open_trajectory(run, every, file) as write_row:
+        for tick in simulation.ticks():
+            position.tick = tick.k
+            if every and (tick.k % every == 0 or tick.k == run.steps):
+                write_row(tick.k * run.site.tau, *values(tick))
+            now = time.monotonic()
+            if speed:
+                time.sleep(max(0.0, began + tick.k * run.site.tau / speed - now))
+            if now - shown > _INTERVAL_S or tick.k == run.steps:
+                position.signals.check()
+                shown = now
+                progress.show_tick(tick.k, tick.cistern_level, tick.roof_level, tick.command)
 
 
 def _simulate_at_once(
     run: Run, every: int, file: Path, position: _At, progress: RunProgress
 ) -> dict[str, Any]:
-    """Simulate on/off as fast as possible, write the trajectory, and return the summary.
-
-    Args:
-        run: the run.
-        every: interval between the ticks that are written (ticks); 0 for no trajectory.
-        file: a new file for the trajectory.
-        position: position of the run, which is kept up to date.
-        progress: progress bar.
-    """
+    """Simulate on/off as fast as possible, write every n-th tick, and return the summary."""
     def show(share: float) -> None:
         position.signals.check()
         position.tick = round(share * (run.steps + 1)) - 1
         progress.show(hours_minutes_seconds(position.tick * run.site.tau), share)
 
     result, trajectory = simulate(run, every=every, progress=show)
-    if trajectory is not None:
-        _write_trajectory(run, trajectory, every, file)
+    with _open_trajectory(run, every, file) as write_row:
+        names = ("time", *(column.attribute or column.tick for column in _columns(run)))
+        columns = [getattr(trajectory, name) for name in names] if trajectory else [np.empty(0)]
+        for first in range(0, len(columns[0]), _ROWS):
+            part = [column[first : first + _ROWS].tolist() for column in columns]
+            for values in zip(*part, strict=True):
+                write_row(*values)
     return result
 
 
-def _write_trajectory(run: Run, trajectory: Trajectory, every: int, file: Path) -> None:
-    """Write a trajectory of every n-th tick with the readings of the sensors to a new file."""
-    site, ticks = run.site, np.minimum(every * np.arange(len(trajectory.time)), run.steps)
-    roof, errors = trajectory.roof / site.a2, read_errors(run.sensor_and_pump, run.steps + 1)
-    levels = {
-        "cistern_level": trajectory.cistern / site.a1,
-        "roof_level": np.maximum(0.0, roof + errors[ticks]) if len(errors) else roof,
-    }
-    columns = [
-        levels[column.tick] if column.tick in levels
-        else getattr(trajectory, column.attribute or column.tick) for column in columns_of(site)
-    ]
-    with _open_trajectory(run, file) as write_row:
-        for first in range(0, len(ticks), _ROWS):
-            rows = slice(first, first + _ROWS)
-            of_rows = zip(*(column[rows].tolist() for column in columns), strict=True)
-            for seconds, values in zip(trajectory.time[rows].tolist(), of_rows, strict=True):
-                write_row(seconds, values)
+def _columns(run: Run) -> list[Any]:
+    """Return the columns of a trajectory except the levels, which the volumes determine."""
+    return [column for column in columns_of(run.site) if not column.name.endswith("level_m")]
 
 
 @contextmanager
-def _open_trajectory(
-    run: Run, file: Path
-) -> Iterator[Callable[[float, tuple[float, ...]], None]]:
-    """Create the file of a trajectory, and yield a function that writes a row at a time (s)."""
+def _open_trajectory(run: Run, every: int, file: Path) -> Iterator[Callable[..., None]]:
+    """Create the file of a trajectory, unless no tick is written.
+
+    Yields:
+        A function that writes a row, given the time (s) and the values of :func:`_columns`.
+    """
+    if not every:
+        yield lambda *_: None
+        return
+    a1, a2 = run.site.a1, run.site.a2
     with add_path_to_errors(file), file.open("x", newline="") as stream:
         rows = csv.writer(stream)
         rows.writerow(("time", "time_s", *(column.name for column in columns_of(run.site))))
-        yield lambda seconds, values: rows.writerow(
-            ((run.start + timedelta(seconds=seconds)).isoformat(), seconds, *values)
-        )
+        yield lambda seconds, x1, x2, *others: rows.writerow((
+            (run.start + timedelta(seconds=seconds)).isoformat(), seconds, x1, x2, x1 / a1,
+            x2 / a2, *others,
+        ))

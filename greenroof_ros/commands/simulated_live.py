@@ -1,4 +1,17 @@
-"""Try a live site without any devices: ``greenroof simulators live``."""
+"""Try a live site without any devices.
+
+The command simulates the site's sensors and its drive, with a dry roof, and runs greenroof live on
+them. The roof is watered within a minute. No forecast is needed, and no broker, except mosquitto
+for the relay of a site with a valve; other options are passed to greenroof live. Ctrl-C ends the
+site, and then its devices.
+
+Examples:
+  greenroof simulators live --watch
+  greenroof simulators live --site my_site.yaml --controller onoff --watch
+  greenroof simulators live --site config/site_valve.yaml --outlet drain --watch
+
+Exit codes: those of greenroof live
+"""
 
 from __future__ import annotations
 
@@ -10,12 +23,12 @@ import sys
 import threading
 from collections import deque
 from collections.abc import Iterator
-from contextlib import AbstractContextManager, ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import yaml
 
-from greenroof_ros.base.command_line import Parser, add_site, command, refuse
+from greenroof_ros.base.command_line import Parser, add_site, command, command_parser, refuse
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.processes import child_environment, scratch_directory
 from greenroof_ros.commands.simulators import add_valve_fault
@@ -34,19 +47,8 @@ _ENDING_S = 5.0
 
 def make_parser() -> Parser:
     """Return the command's parser."""
-    parser = Parser(
-        prog="greenroof simulators live",
-        usage="%(prog)s [--site FILE] [--state DIR] [options of greenroof live]",
-        description="Try a live site without any devices: simulate its sensors and its drive, with "
-        "a dry roof, and run greenroof live on them. The roof is watered within a minute. No "
-        "forecast is needed, and no broker, except mosquitto for the relay of a site with a valve; "
-        "other options are passed to greenroof live.",
-        epilog="examples:\n"
-        "  greenroof simulators live --watch\n"
-        "  greenroof simulators live --site my_site.yaml --controller onoff --watch\n"
-        "  greenroof simulators live --site config/site_valve.yaml --outlet drain --watch\n\n"
-        "Ctrl-C ends the site, and then its devices.\n\n"
-        "exit codes: those of greenroof live",
+    parser = command_parser(
+        "simulators live", __doc__, "[--site FILE] [--state DIR] [options of greenroof live]"
     )
     add_site(parser)
     parser.add_argument(
@@ -84,7 +86,7 @@ def main() -> None:
             others += ["--drive-at", drive_at]
             simulated += ["--at", drive_at]
         if site.low_outlet_valve:
-            stack.enter_context(_run_broker(directory, broker_port))
+            stack.enter_context(_run(_find_broker(directory, broker_port)))
             common += ["--valve", _RELAY, "--valve-at", f"mqtt://127.0.0.1:{broker_port}/valve"]
         if arguments.valve_fault:
             simulated += ["--valve-fault", arguments.valve_fault]
@@ -96,7 +98,10 @@ def main() -> None:
             # What they print later is not shown, but must not fill the pipe and stop them.
             threading.Thread(target=deque, args=(devices.stdout, 0), daemon=True).start()
             print(f"the simulated devices are process {devices.pid}", flush=True)
-            _run_live([*common, "--state", str(arguments.state), *others])
+            from greenroof_ros.bringup import live
+
+            sys.argv = ["greenroof live", *common, "--state", str(arguments.state), *others]
+            live.main()  # it exits
         sys.exit(devices.wait(_ENDING_S))  # it has printed why it cannot start
 
 
@@ -114,8 +119,8 @@ def _run(command: list[str]) -> Iterator[subprocess.Popen[bytes]]:
         process.wait(_ENDING_S)
 
 
-def _run_broker(directory: Path, port: int) -> AbstractContextManager[subprocess.Popen[bytes]]:
-    """Run a broker for the relay of the valve, which only this computer can reach.
+def _find_broker(directory: Path, port: int) -> list[str]:
+    """Return the command of a broker for the valve's relay, which only this computer can reach.
 
     Raises:
         ConfigurationError: if Mosquitto is not installed.
@@ -129,15 +134,7 @@ def _run_broker(directory: Path, port: int) -> AbstractContextManager[subprocess
     file.write_text(
         f"listener {port} 127.0.0.1\nallow_anonymous true\nlog_dest none\n", encoding="utf-8"
     )
-    return _run([mosquitto, "-c", str(file)])
-
-
-def _run_live(options: list[str]) -> None:
-    """Run the live site in this process, and exit with its exit code."""
-    from greenroof_ros.bringup import live
-
-    sys.argv = ["greenroof live", *options]
-    live.main()
+    return [mosquitto, "-c", str(file)]
 
 
 def _describe_drive() -> str:

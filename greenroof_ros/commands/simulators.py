@@ -1,4 +1,21 @@
-"""Simulate a site with its sensors, pump and valve: ``greenroof simulators site``."""
+"""Simulate the devices of a live site in real time.
+
+They are, as far as the site has them: cistern and roof with their sensors on Modbus or MQTT, the
+pump with its drive on Modbus or its relay on MQTT, and the valve of the low outlet with its relay
+on MQTT. The registers, control words, fault codes and communication timeout are those of the drive
+file. The air temperature is 15 degC.
+
+Examples:
+  greenroof simulators site
+  greenroof simulators site --drive abb_acs880 --at gateway://127.0.0.1:5020
+  greenroof simulators site --drive tasmota --at mqtt://127.0.0.1/roof-pump
+  greenroof simulators site --site config/site_valve.yaml --valve-fault leak
+
+the first line of output states that the simulator is ready, and lists its addresses. Ctrl-C stops
+the simulator.
+
+Exit codes: 0 ended by Ctrl-C or SIGTERM, 2 bad usage or configuration
+"""
 
 from __future__ import annotations
 
@@ -6,11 +23,11 @@ import argparse
 import asyncio
 import signal
 import time
-from collections.abc import Coroutine
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from greenroof_ros.base.command_line import Parser, command, refuse
+from greenroof_ros.base.command_line import Parser, command, command_parser, refuse
 from greenroof_ros.base.mqtt import parse_topic
 from greenroof_ros.live.devices.drive_file import find_drive_file, read_relay_file
 from greenroof_ros.live.devices.exchange import Endpoint, read_endpoint
@@ -30,23 +47,7 @@ _TIMER_S = 5.0
 
 def make_parser() -> Parser:
     """Return the command's parser."""
-    parser = Parser(
-        prog="greenroof simulators site",
-        usage="%(prog)s [options]",
-        description="Simulate the devices of a live site in real time: cistern and roof with their "
-        "sensors on Modbus or MQTT, the pump with its drive on Modbus or its relay on MQTT, and "
-        "the valve of the low outlet with its relay on MQTT, as far as the site has them. The "
-        "registers, control words, fault codes and communication timeout are those of the drive "
-        "file. The air temperature is 15 degC.",
-        epilog="examples:\n"
-        "  greenroof simulators site\n"
-        "  greenroof simulators site --drive abb_acs880 --at gateway://127.0.0.1:5020\n"
-        "  greenroof simulators site --drive tasmota --at mqtt://127.0.0.1/roof-pump\n"
-        "  greenroof simulators site --site config/site_valve.yaml --valve-fault leak\n\n"
-        "The first line of output states that the simulator is ready, and lists its addresses. "
-        "Ctrl-C stops the simulator.\n\n"
-        "exit codes: 0 ended by Ctrl-C or SIGTERM, 2 bad usage or configuration",
-    )
+    parser = command_parser("simulators site", __doc__)
     devices = parser.add_argument_group(
         "devices", "Anyone who can reach the addresses of the simulated devices can operate them.",
     )
@@ -96,27 +97,23 @@ def main() -> None:
     """Simulate the site that the command line specifies."""
     arguments = make_parser().parse_args()
     check_installed()
-    run = build_run(arguments)
-    drive: Endpoint | None = None
-    valve: RelayEndpoint | None = None
+    run, fault = build_run(arguments), arguments.valve_fault
+    places: dict[str, Endpoint] = {}
     if run.site.irrigated:
-        drive = read_endpoint(find_drive_file(arguments.drive), arguments.at, "--at")
+        places["drive"] = read_endpoint(find_drive_file(arguments.drive), arguments.at, "--at")
     if run.site.low_outlet_valve:
         relay = read_relay_file(find_drive_file(arguments.valve))
-        valve = RelayEndpoint(relay, *parse_topic(arguments.valve_at, "--valve-at"))
-    refuse((arguments.valve_fault and valve is None, "--valve-fault", arguments.valve_fault,
+        places["valve"] = RelayEndpoint(relay, *parse_topic(arguments.valve_at, "--valve-at"))
+    refuse((fault and "valve" not in places, "--valve-fault", fault,
             "must be left out: the site has no valve"))
     sensors = read_sensors(arguments.sensors or default_sensors())
-    asyncio.run(_simulate(run, sensors, drive, valve, arguments))
+    asyncio.run(_simulate(run, sensors, places, fault))
 
 
-async def _simulate(
-    run: Run, sensors: Sensors, drive_at: Endpoint | None, valve_at: RelayEndpoint | None,
-    arguments: argparse.Namespace,
-) -> None:
+async def _simulate(run: Run, sensors: Sensors, places: dict[str, Endpoint], fault: str) -> None:
+    """Simulate a site with the drive and the valve at the given places, until a signal."""
     from greenroof_ros.live.simulators.drive import SimulatedDrive, drive_server
     from greenroof_ros.live.simulators.relay import SimulatedRelay
-    from greenroof_ros.live.simulators.server import Server
     from greenroof_ros.live.simulators.site import SimulatedSite
 
     began, ended = time.monotonic(), asyncio.Event()
@@ -127,37 +124,33 @@ async def _simulate(
         print(f"{time.monotonic() - began:9.2f} s  {text}", flush=True)
 
     def speed() -> float:
-        if isinstance(device, SimulatedDrive):
-            device.advance()
-        return 0.0 if device is None else device.speed
+        if isinstance(pump, SimulatedDrive):
+            pump.advance()
+        return pump.speed if pump else 0.0
 
-    def connect(endpoint: RelayEndpoint) -> SimulatedRelay:
-        relay = SimulatedRelay(endpoint.file, endpoint.broker, endpoint.device, _TIMER_S)
-        tasks.append(relay.run(ended))
-        return relay
-
-    device: SimulatedDrive | SimulatedRelay | None = None
-    valve: SimulatedValve | None = None
-    servers: list[Server] = []
-    tasks: list[Coroutine[Any, Any, None]] = []
-    if isinstance(drive_at, RelayEndpoint):
-        device = connect(drive_at)
-    elif drive_at is not None:
-        device = drive = SimulatedDrive(drive_at.file, drive_at.address.interface)
-        servers.append(drive_server(drive, drive_at.file, drive_at.address))
-    if valve_at is not None:
-        of_valve = connect(valve_at)
+    devices: dict[str, SimulatedDrive | SimulatedRelay] = {}
+    servers, tasks = [], []
+    for name, place in places.items():
+        if isinstance(place, RelayEndpoint):
+            relay = SimulatedRelay(place.file, place.broker, place.device, _TIMER_S)
+            devices[name] = relay
+            tasks.append(relay.run(ended))
+        else:
+            devices[name] = drive = SimulatedDrive(place.file, place.address.interface)
+            servers.append(drive_server(drive, place.file, place.address))
+    pump, of_valve = devices.get("drive"), devices.get("valve")
+    valve = None
+    if isinstance(of_valve, SimulatedRelay):
         travel_s = (run.site.valve_travel_time or TRAVEL_S) / 3  # faster than it must be
-        valve = SimulatedValve(lambda: of_valve.on, travel_s, arguments.valve_fault)
+        valve = SimulatedValve(partial(getattr, of_valve, "on"), travel_s, fault)
     weather = run.series.precipitation, run.series.evapotranspiration
     site = SimulatedSite(run.site, *weather, (run.x1, run.x2), sensors, speed, valve)
-    if isinstance(device, SimulatedDrive):
-        device.flow, device.log = site.flow, log
+    if isinstance(pump, SimulatedDrive):
+        pump.flow, pump.log = site.flow, log
     servers += site.servers
     for server in servers:
         await server.open()
-    places = {"drive": drive_at, "valve": valve_at}
-    named = [f"{name} {endpoint}" for name, endpoint in places.items() if endpoint is not None]
+    named = [f"{name} {place}" for name, place in places.items()]
     print(f"ready: {', '.join([*named, site.addresses])}", flush=True)
     await asyncio.gather(site.run(ended), *tasks)
     for server in servers:

@@ -1,19 +1,32 @@
-"""Print the current state of a run or a site, and set the exit code: ``greenroof status``."""
+"""Print the current state of the run or the site in this ROS domain, in at most 15 lines.
+
+It consists of levels, pump, rain and forecast, controller and alarms, with the same wording as the
+page of 'greenroof watch'. The command publishes nothing. It listens for 2 s after it has found a
+node, or for 5 s if values are missing or no graph is running.
+
+Examples:
+  greenroof status
+  ssh pi@roof greenroof status          from another machine
+  greenroof status --namespace site1
+
+Exit codes, as used by monitoring plug-ins: 0 all is well, 1 warning, 2 alarm, 3 no graph is
+running, the command failed, or bad usage
+"""
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Mapping
 from functools import partial
 from typing import Any
 
-from greenroof_ros.base.command_line import EXIT_DONE, Parser, command
-from greenroof_ros.commands.watch import find_past_file
+from greenroof_ros.base.command_line import EXIT_DONE, Parser, command, command_parser
+from greenroof_ros.commands.watch import open_store
 from greenroof_ros.interface.states import VALVE
 from greenroof_ros.ros.domain import add_namespace
 from greenroof_ros.watch.document import make_document
 from greenroof_ros.watch.feed import Feed
-from greenroof_ros.watch.lines import read_last_seen
 from greenroof_ros.watch.store import GraphStore
 
 WARNING, ALARM, NOTHING = 1, 2, 3
@@ -26,29 +39,10 @@ _MAX_LINES = 15
 _TILES = "roof", "cistern", "pump", VALVE, "watering", "rain", "temperature"
 _LEVELS = {"error": "Alarm", "warn": "Warning"}
 
-_DESCRIPTION = """\
-Print the current state of the run or the site in this ROS domain: levels, pump, rain and forecast,
-controller and alarms, in at most 15 lines with the same wording as the page of 'greenroof watch'.
-The command publishes nothing. It listens for 2 s after it has found a node, or for 5 s if values
-are missing or no graph is running.
-"""
-_EPILOG = """\
-examples:
-  greenroof status
-  ssh pi@roof greenroof status          from another machine
-  greenroof status --namespace site1
-
-exit codes, as used by monitoring plug-ins: 0 all is well, 1 warning, 2 alarm, 3 no graph is
-running, the command failed, or bad usage
-"""
-
 
 def make_parser() -> Parser:
     """Return the command's parser."""
-    parser = Parser(
-        prog="greenroof status", usage="%(prog)s [options]", description=_DESCRIPTION,
-        epilog=_EPILOG,
-    )
+    parser = command_parser("status", __doc__)
     add_namespace(parser)
     return parser
 
@@ -57,8 +51,7 @@ def make_parser() -> Parser:
 def main() -> int:
     """Print the status, and return its severity as an exit code."""
     arguments = make_parser().parse_args()
-    store = GraphStore(arguments.namespace)
-    store.seen_at = read_last_seen(find_past_file(arguments.namespace))
+    store = open_store(arguments.namespace)
     with Feed(store):
         shown = _read_status(store)
     code = _judge(shown)
@@ -68,18 +61,15 @@ def main() -> int:
 
 def _read_status(store: GraphStore) -> dict[str, Any]:
     """Return the document once all values are known, or once the time limit has passed."""
-    began, first = time.monotonic(), None
+    end, settled = time.monotonic() + _MAX_S, math.inf
     while True:
         time.sleep(_POLL_S)
         now = time.monotonic()
         shown = make_document(store, now)
-        if shown["mode"] != "none" and first is None:
-            first = now
-        settled = (
-            first is not None and now - first >= _SETTLED_S
-            and shown["known"] and not _find_unknown(shown)
-        )
-        if settled or now - began >= _MAX_S:
+        if shown["mode"] != "none":
+            settled = min(settled, now + _SETTLED_S)
+        complete = now >= settled and shown["known"] and not _find_unknown(shown)
+        if complete or now >= end:
             return shown
 
 

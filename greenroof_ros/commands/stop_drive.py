@@ -1,27 +1,33 @@
-"""Command a drive or a relay to stop, without ROS and without a site: ``greenroof stop-drive``."""
+"""Command a drive or a relay to stop, and wait until its pump stands still.
+
+The command needs no ROS, and works after the site's program has died: the systemd service calls it
+whenever the site ends. A drive that another program controls is left alone.
+
+Example:
+  greenroof stop-drive --drive danfoss_fc202 --drive-at gateway://192.168.7.20:502
+
+Exit codes: 0 the pump is stopped, 1 the pump may be running, 2 bad usage or configuration
+"""
 
 from __future__ import annotations
 
 from pathlib import Path
 
-from greenroof_ros.base.command_line import EXIT_DONE, EXIT_FAILED, Parser, command
+from greenroof_ros.base.command_line import (
+    EXIT_DONE,
+    EXIT_FAILED,
+    Parser,
+    command,
+    command_parser,
+)
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.live.devices.exchange import read_endpoint, stop_drive
 from greenroof_ros.live.live_site import add_drive, read_drive
 
 
 def make_parser() -> Parser:
-    """Return the parser for the command line."""
-    parser = Parser(
-        prog="greenroof stop-drive",
-        description="Command a drive or a relay to stop, and wait until its pump stands still. The "
-        "command needs no ROS, and works after the site's program has died: the systemd service "
-        "calls it whenever the site ends. A drive that another program controls is left alone.",
-        epilog="example:\n"
-        "  greenroof stop-drive --drive danfoss_fc202 --drive-at gateway://192.168.7.20:502\n\n"
-        "exit codes: 0 the pump is stopped, 1 the pump may be running, 2 bad usage or "
-        "configuration",
-    )
+    """Return the command's parser."""
+    parser = command_parser("stop-drive", __doc__, "--drive NAME --drive-at ADDRESS [options]")
     add_drive(parser)
     return parser
 

@@ -1,15 +1,49 @@
-"""Show the state of the roof on a page: ``greenroof watch``."""
+"""Show the state of the roof on a page in a browser.
+
+The page has levels, pump, rain, the controller's plan, alarms and advice, and shows any graph in
+this ROS domain, either live or simulated at up to 60 times real time. Any number of watchers may be
+started and stopped at any time, since no run waits for them; when a run ends, the page waits for
+the next one. The page can stop the pump and close the outlet valve, and can also release both with
+--allow-release. With --foxglove, there is no page: Foxglove or Lichtblick shows the graph instead.
+
+The page shows the values that the watcher itself has received in the past week. The values of a
+live site are saved for the next start, every 10 minutes and when the command ends, in
+$XDG_STATE_HOME/greenroof_ros or ~/.local/state/greenroof_ros. To show the bag of a run or a site,
+use greenroof report.
+
+The command prints the page's address, which only this machine can reach. From another machine, use
+an ssh tunnel:
+  ssh -L 8080:localhost:8080 NAME_OF_THIS_MACHINE
+and open http://localhost:8080 there.
+
+Examples:
+  greenroof watch                       the graph in this ROS domain
+  greenroof watch --namespace site1 --port 8081
+  greenroof watch --host 0.0.0.0        for other machines, with a token
+  greenroof watch --allow-release --port 8080 --token-file token
+                                        with an address that can be bookmarked
+  greenroof run --speed 60 --watch      a run, and its page alongside it
+  greenroof watch --foxglove            for Foxglove, at ws://127.0.0.1:8765
+
+Exit codes: 0 ended on request by Ctrl-C, 1 failed, 2 bad usage or configuration
+"""
 
 from __future__ import annotations
 
-import argparse
 import os
-import sys
 from contextlib import suppress
 from pathlib import Path
 
-from greenroof_ros.base.command_line import Parser, command, make_number_type
-from greenroof_ros.base.errors import ConfigurationError, describe_extra
+from greenroof_ros.base.command_line import (
+    Parser,
+    command,
+    command_parser,
+    make_number_type,
+    option_of,
+    print_lines,
+    refuse,
+)
+from greenroof_ros.base.errors import require_extra
 from greenroof_ros.base.files import state_directory
 from greenroof_ros.base.processes import InterruptedRun, Signals
 from greenroof_ros.ros.domain import add_namespace
@@ -26,50 +60,14 @@ from greenroof_ros.watch.listening import (
 )
 from greenroof_ros.watch.store import GraphStore
 
-# Niceness, as a watcher must not slow down others: on a busy core, it gets a tenth of the time.
-_NICENESS = 10
-
-_DESCRIPTION = """\
-Show the state of the roof on a page in a browser: levels, pump, rain, the controller's plan, alarms
-and advice. The page shows any graph in this ROS domain, either live or simulated at up to 60 times
-real time. Any number of watchers may be started and stopped at any time, since no run waits for
-them. The page can stop the pump and close the outlet valve, and can also release both with
---allow-release. With --foxglove, there is no page: Foxglove or Lichtblick shows the graph instead.
-
-The page shows the values that the watcher itself has received in the past week. The values of a
-live site are saved for the next start, every 10 minutes and when the command ends, in
-$XDG_STATE_HOME/greenroof_ros or ~/.local/state/greenroof_ros. To show the bag of a run or a site,
-use greenroof report.
-
-The command prints the page's address, which only this machine can reach. From another machine, use
-an ssh tunnel:
-  ssh -L 8080:localhost:8080 NAME_OF_THIS_MACHINE
-and open http://localhost:8080 there.
-"""
-_EPILOG = """\
-examples:
-  greenroof watch                       the graph in this ROS domain
-  greenroof watch --namespace site1 --port 8081
-  greenroof watch --host 0.0.0.0        for other machines, with a token
-  greenroof watch --allow-release --port 8080 --token-file token
-                                        with an address that can be bookmarked
-  greenroof run --speed 60 --watch      a run, and its page alongside it
-  greenroof watch --foxglove            for Foxglove, at ws://127.0.0.1:8765
-
-When a run ends, the page waits for the next one and shows it. Ctrl-C ends the command.
-
-exit codes: 0 ended on request, 1 failed, 2 bad usage or configuration
-"""
+NICENESS = 10
+"""niceness of a watcher, which must not slow down others: on a busy core, it gets a tenth of the
+time"""
 
 
 def make_parser() -> Parser:
-    """Return the parser of the command line."""
-    parser = Parser(
-        prog="greenroof watch",
-        usage="%(prog)s [options]",
-        description=_DESCRIPTION,
-        epilog=_EPILOG,
-    )
+    """Return the command's parser."""
+    parser = command_parser("watch", __doc__)
     add_namespace(parser)
     parser.add_argument(
         "--foxglove", nargs="?", const=8765, type=make_number_type(0, 65535, int), metavar="PORT",
@@ -85,10 +83,9 @@ def make_parser() -> Parser:
     )
     parser.add_argument(
         "--host", metavar="ADDRESS",
-        help="serve the page at this address, where other machines can view the page and stop the "
-        "pump; 0.0.0.0 means all addresses. An address that other machines can reach requires "
-        "a token, which is printed with the address; the connection is not encrypted "
-        f"(default: {LOOPBACK})",
+        help="serve the page at this address; 0.0.0.0 means all addresses. If other machines can "
+        "reach it, the page requires a token, which is printed with the address; the connection is "
+        f"not encrypted (default: {LOOPBACK})",
     )
     parser.add_argument(
         "--port", type=make_number_type(1, 65535, int), metavar="N",
@@ -97,26 +94,11 @@ def make_parser() -> Parser:
     )
     parser.add_argument(
         "--token-file", type=Path, metavar="FILE",
-        help="read the page's token from this file, so that the address stays the same; the page "
-        "then always requires the token. If the file does not exist, it is created with a new "
-        "token. The file must be accessible only to its owner (default: if the page requires a "
-        "token, a new token at each start)",
+        help="always require the token in this file, which is created if it does not exist and "
+        "which only its owner may read, so that the address stays the same (default: if the page "
+        "requires a token, a new one at each start)",
     )
     return parser
-
-
-def _refuse_wrong(arguments: argparse.Namespace) -> None:
-    """Reject options for the page if --foxglove is given, since no page is then served.
-
-    Raises:
-        ConfigurationError: if --foxglove is used with an option for the page.
-    """
-    for option in ("allow_release", "host", "port", "token_file"):
-        if arguments.foxglove is not None and getattr(arguments, option):
-            raise ConfigurationError(
-                "applies only to the page; omit this option or "
-                "--foxglove", key=f"--{option.replace('_', '-')}"
-            )
 
 
 def find_past_file(namespace: str) -> Path:
@@ -125,53 +107,57 @@ def find_past_file(namespace: str) -> Path:
     return state_directory() / f"watch_{'.'.join(place)}.npz"
 
 
-def _print_address(listener: Listener, token: str, port: int | None, *, release: bool) -> None:
-    """Print the page's address, and warnings about what it allows other people to do."""
-    if port is None and f":{PORTS[0]}/" not in listener.url:
-        print(f"port {PORTS[0]} is in use, perhaps by another watcher", file=sys.stderr)
-    if not listener.is_loopback:
-        print(
-            "anyone who has the address, including its token, can view the page, stop the pump "
-            "and close the outlet valve; the connection is not encrypted", file=sys.stderr,
-        )
-    if release:
-        print(
-            "anyone who has the address, including its token, can release the pump, open the "
-            "outlet valve, and request a dose if the site file allows doses", file=sys.stderr,
-        )
-    print(listener.url + (f"#token={token}" if token else ""), flush=True)
+def open_store(namespace: str) -> GraphStore:
+    """Return an empty store of a graph's values, which knows when its site was last seen."""
+    store = GraphStore(namespace)
+    store.seen_at = read_last_seen(find_past_file(namespace))
+    return store
+
+
+def _note(listener: Listener, port: int | None, *, release: bool) -> None:
+    """Print that another port was chosen, and what the page allows other people to do."""
+    holder = "anyone who has the address, including its token, can "
+    notes = {
+        f"port {PORTS[0]} is in use, perhaps by another watcher":
+            port is None and f":{PORTS[0]}/" not in listener.url,
+        f"{holder}view the page, stop the pump and close the outlet valve; the connection is not "
+        "encrypted": not listener.is_loopback,
+        f"{holder}release the pump, open the outlet valve, and request a dose if the site file "
+        "allows doses": release,
+    }
+    print_lines("note", (text for text, applies in notes.items() if applies))
 
 
 @command
 def main() -> None:
     """Watch the graph until a signal arrives."""
     arguments = make_parser().parse_args()
-    _refuse_wrong(arguments)
-    os.nice(_NICENESS)
-    if arguments.foxglove is not None:
-        signals, server = Signals(), FoxgloveServer(arguments.namespace, arguments.foxglove)
+    foxglove, release = arguments.foxglove, arguments.allow_release
+    refuse(*(
+        (foxglove is not None and getattr(arguments, name), option_of(name), None,
+         "applies only to the page; omit this option or --foxglove")
+        for name in ("allow_release", "host", "port", "token_file")
+    ))
+    os.nice(NICENESS)
+    if foxglove is not None:
+        signals, server = Signals(), FoxgloveServer(arguments.namespace, foxglove)
         print(server.url, flush=True)
         with suppress(InterruptedRun):
             server.run(signals)
         return
-    store = GraphStore(arguments.namespace)
-    store.allow_release = arguments.allow_release
-    past_file = find_past_file(arguments.namespace)
-    store.seen_at = read_last_seen(past_file)
-    try:
+    store = open_store(arguments.namespace)
+    store.allow_release = release
+    with require_extra("watch"):
         from greenroof_ros.watch.server import PageServer
-    except ModuleNotFoundError as error:
-        raise ConfigurationError(f"needs {error.name}: {describe_extra('watch')}") from error
     listener = listen(arguments.host or LOOPBACK, arguments.port)
-    # Releasing always needs a token, since behind a proxy every request comes from this machine.
-    needed = store.allow_release or not listener.is_loopback
-    token = new_token() if needed else ""
+    token = ""
     if arguments.token_file is not None:
         token = read_token(arguments.token_file)
+    elif release or not listener.is_loopback:
+        # Releasing always needs a token, since behind a proxy every request is from this machine.
+        token = new_token()
     signals = Signals()
-    with (
-        suppress(InterruptedRun),
-        Feed(store, past_file) as feed,
-    ):
-        _print_address(listener, token, arguments.port, release=store.allow_release)
+    with suppress(InterruptedRun), Feed(store, find_past_file(arguments.namespace)) as feed:
+        _note(listener, arguments.port, release=release)
+        print(listener.url + (f"#token={token}" if token else ""), flush=True)
         PageServer(store, feed, listener, token or None).serve(signals)

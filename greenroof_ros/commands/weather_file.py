@@ -1,4 +1,26 @@
-"""Describe weather files, and write them as one plain CSV: ``greenroof weather FILE``."""
+"""Read weather files in the same way as simulate, and show what they contain.
+
+The table has the period, the rain of each month or year, the wettest hour and day, the range of
+every quantity, missing hours, and the method by which evapotranspiration would be computed. Nothing
+in a file is guessed or changed: what its columns mean is stated by its header or by a description,
+a YAML file beside it, whose keys are also options of this command. If more than one file is given,
+the files are joined.
+
+a file in the package's own form needs no description:
+  time,rain [mm],temperature [degC]
+  2024-06-01T00:00-05:00,0.0,17.3
+  2024-06-01T00:05-05:00,0.2,17.2
+
+Examples:
+  greenroof weather logger.csv --site my_site.yaml
+  greenroof weather gauge.csv --describe > gauge.yaml
+  greenroof weather gauge.yaml --output gauge_plain.csv
+  greenroof weather gauge.csv --columns "time=[Datum, Uhrzeit]" "rain=Regen [mm]" --rows end
+  greenroof weather gauge.csv --na-values=-99 --na-values=---
+  greenroof simulate --weather gauge.yaml --start 2021-07-01
+
+Exit codes: 0 done, 2 bad usage, configuration or file
+"""
 
 from __future__ import annotations
 
@@ -10,7 +32,7 @@ from typing import Any
 
 import numpy as np
 
-from greenroof_ros.base.command_line import Parser, add_site, command, option_of
+from greenroof_ros.base.command_line import Parser, add_site, command, command_parser, option_of
 from greenroof_ros.base.console import PlainConsole
 from greenroof_ros.base.errors import ConfigurationError, rename_keys
 from greenroof_ros.base.files import add_path_to_errors, parse_yaml
@@ -31,48 +53,22 @@ from greenroof_ros.weather.read import (
     read_file,
     read_measured,
 )
-from greenroof_ros.weather.records import (
-    HOUR,
-    Records,
-    describe_rows,
-    name_files,
-    write_records,
-)
+from greenroof_ros.weather.records import HOUR, Records, name_hours, write_records
 from greenroof_ros.weather.series import Weather
 from greenroof_ros.weather.summary import as_lines, summarize
-from greenroof_ros.weather.table import Rows
 
-_DESCRIPTION = """\
-Read weather files in the same way as simulate, and show what they contain: the period, the rain of
-each month or year, the wettest hour and day, the range of every quantity, missing hours, and the
-method by which evapotranspiration would be computed. Nothing in a file is guessed or changed: what
-its columns mean is stated by its header or by a description, a YAML file beside it, whose keys are
-also options of this command. If more than one file is given, the files are joined.
-"""
-_EPILOG = """\
-a file in the package's own form needs no description:
-  time,rain [mm],temperature [degC]
-  2024-06-01T00:00-05:00,0.0,17.3
-  2024-06-01T00:05-05:00,0.2,17.2
-
-examples:
-  greenroof weather logger.csv --site my_site.yaml
-  greenroof weather gauge.csv --describe > gauge.yaml
-  greenroof weather gauge.yaml --output gauge_plain.csv
-  greenroof weather gauge.csv --columns "time=[Datum, Uhrzeit]" "rain=Regen [mm]" --rows end
-  greenroof weather gauge.csv --na-values=-99 --na-values=---
-  greenroof simulate --weather gauge.yaml --start 2021-07-01
-
-exit codes: 0 done, 2 bad usage, configuration or file
-"""
 _DASH = "A value that begins with a dash is written as --na-values=-99"
-_MAX_FILES = 12
 _NOT_OPTIONS = "name", "file", "header"
+# Files that are shown one by one, and gaps that are named.
+_MAX_FILES, _MAX_NAMED = 12, 3
+
+Row = tuple[str, str, str]
+"""a label, a value and a description"""
 
 
 def make_parser() -> Parser:
     """Return the command's parser."""
-    parser = Parser(prog="greenroof weather", description=_DESCRIPTION, epilog=_EPILOG)
+    parser = command_parser("weather", __doc__, "FILE [FILE ...] [options]")
     parser.add_argument(
         "files", nargs="+", metavar="FILE",
         help="weather files, descriptions of weather files, directories, or a pattern in quotes",
@@ -94,10 +90,10 @@ def make_parser() -> Parser:
     )
     parser.hint = _DASH
     for key in _options():
+        settings: Any = {"nargs": "*", "action": "extend"} if _has_many(key) else {}
         group.add_argument(
             option_of(key.name), help=key.description.replace("%", "%%"), dest=key.name,
-            metavar="NAME=VALUE" if _is_mapping(key) else "VALUE",
-            nargs="*" if _has_many(key) else None, action="extend" if _has_many(key) else "store",
+            metavar="NAME=VALUE" if _is_mapping(key) else "VALUE", **settings,
         )
     return parser
 
@@ -116,21 +112,19 @@ def _has_many(key: Parameter) -> bool:
 
 def _read_options(arguments: Namespace) -> Description | None:
     """Return the description that the options state; None without such options."""
+    def read(text: str) -> Any:
+        return parse_yaml(text, Path(option))
+
     given = dict[str, Any]()
     for key in _options():
-        value = getattr(arguments, key.name)
+        option, value = option_of(key.name), getattr(arguments, key.name)
         if value is None:
             continue
         if _is_mapping(key):
             pairs = [item.partition("=") for item in value]
-            value = {
-                name: parse_yaml(text, Path(option_of(key.name))) if text.startswith("[") else text
-                for name, _, text in pairs
-            }
-        elif "str" not in str(key.kind):  # a number as in a description
-            texts = value if _has_many(key) else [value]
-            numbers = [parse_yaml(text, Path(option_of(key.name))) for text in texts]
-            value = numbers[0] if len(numbers) == 1 else numbers
+            value = {name: read(text) if text[:1] == "[" else text for name, _, text in pairs}
+        elif "str" not in str(key.kind):
+            value = [*map(read, value)] if _has_many(key) else read(value)
         given[key.name] = value
     return make_description(given) if given else None
 
@@ -154,98 +148,55 @@ def main() -> None:
         options = _read_options(arguments)
         measured = read_measured(files, anywhere, options)
         sources = [*_describe_sources(files, anywhere, options)]
-    console = PlainConsole()
-    console.print(grid("Weather", [*_describe(measured, site), *sources]))
+    show_records(measured, site, sources)
     if output is not None:
+        about = "\n".join((*measured.applied, "Written by greenroof weather."))
         with add_path_to_errors(output):
-            output.write_text(
-                write_records(measured, "\n".join((*measured.applied, "Written by greenroof "
-                                                   "weather."))), encoding="utf-8",
-            )
-        console.print(f"written: {output}", soft_wrap=True)
+            output.write_text(write_records(measured, about), encoding="utf-8")
+        PlainConsole().print(f"written: {output}", soft_wrap=True)
 
 
-def _describe(measured: Records, site: Site) -> Iterator[tuple[str, str, str]]:
-    """Yield the rows of the table, each with a label, a value and a description."""
+def show_records(measured: Records, site: Site, more: Sequence[Row] = ()) -> None:
+    """Print a table of what a weather record contains, and more rows."""
+    PlainConsole().print(grid("Weather", [*_describe(measured, site), *more]))
+
+
+def _describe(measured: Records, site: Site) -> Iterator[Row]:
     try:
-        weather = complete_records(measured, site)
-        unknown = ""
+        weather, unknown = complete_records(measured, site), ""
     except ConfigurationError as error:
         weather, unknown = complete_records(measured, site, method=""), str(error)
-    for text in (*measured.applied, *measured.left_out):
-        yield "read", "", text
-    yield from _describe_places(measured, site)
+    for text in measured.left_out:
+        yield "left out", "", text
+    for place in dict.fromkeys(measured.places.values()):
+        away = ""
+        if site.latitude is not None and site.longitude is not None:
+            own = site.latitude, site.longitude
+            away = f"{measure_distance(place, own):.0f} km from the site, {format_place(*own)}"
+        yield "place", format_place(*place), away
     last = measured.first + (measured.hours - 1) * HOUR
     yield "hours", str(measured.hours), f"{to_people(measured.first)} to {to_people(last)}"
     if measured.rain_late:
         yield "rain", "1 h late", "each time is the end of an hour; a run treats it as the start"
     if measured.rain_kind:
         yield "rain", measured.rain_kind, measured.rain_note
-    summary = summarize(measured, site)
-    for name, about in summary["quantities"].items():
-        yield name, about["unit"], (
-            f"{about['minimum']:g} to {about['maximum']:g}, mean {about['mean']:.3g}; "
-            f"{about['missing']} hours missing"
-        )
-    for line in as_lines(summary):
+    for line in as_lines(summarize(measured, site)):
         yield "summary", "", line
-    yield _describe_evapotranspiration(weather, unknown)
+    for name, series in measured.values.items():
+        missing = np.isnan(series)
+        if spans := name_hours(measured.first, missing):
+            more = f", and {len(spans) - _MAX_NAMED} more" if len(spans) > _MAX_NAMED else ""
+            yield f"no {name}", f"{missing.sum()} h", ", ".join(spans[:_MAX_NAMED]) + more
+    known = weather.evapotranspiration[~np.isnan(weather.evapotranspiration)]
+    if known.size:
+        lost = f", unknown in {weather.hours - known.size} hours" * (known.size < weather.hours)
+        yield "evapotranspiration", weather.method, f"mean {known.mean():.2f} mm/day{lost}"
+    else:
+        yield "EVAPOTRANSPIRATION", "unknown", unknown
     yield from _average_months(weather, site)
 
 
-def _describe_sources(
-    files: Sequence[Path], site: Site, options: Description | None
-) -> Iterator[tuple[str, str, str]]:
-    """Yield a row for each quantity of each source if there is more than one.
-
-    A source is a file or, of more than a dozen files, all files that are read in the same way.
-    """
-    found = list(expand(files, options))
-    sources = dict[str, list[Rows]]()
-    for file, described in found if len(found) > 1 else ():
-        for rows in read_file(file, site, described):
-            key = str(file) if len(found) <= _MAX_FILES else describe_rows(rows)
-            sources.setdefault(key, []).append(rows)
-    for members in sources.values():
-        name = name_files([rows.table.file for rows in members])
-        for quantity in members[0].values:
-            values = np.concatenate([rows.values[quantity] for rows in members])
-            known = values[~np.isnan(values)]
-            if known.size:
-                yield quantity, QUANTITIES[quantity].unit, (
-                    f"{name}: {known.min():g} to {known.max():g}, mean {known.mean():.3g}; "
-                    f"{values.size - known.size} of {values.size} rows without a value"
-                )
-
-
-def _describe_places(measured: Records, site: Site) -> Iterator[tuple[str, str, str]]:
-    """Yield a row for every location in the records, with its distance from the site if known."""
-    for place in dict.fromkeys(measured.places.values()):
-        away = ""
-        if site.latitude is not None and site.longitude is not None:
-            own = site.latitude, site.longitude
-            away = (
-                f"{measure_distance(place, own):.0f} km from the site, {format_place(*own)} "
-                "(--site)"
-            )
-        yield "place", format_place(*place), away
-    if not measured.places:
-        yield "place", "not stated", ""
-
-
-def _describe_evapotranspiration(weather: Weather, unknown: str) -> tuple[str, str, str]:
-    """Return the row for evapotranspiration, with its method and mean, or the reason if unknown."""
-    if unknown:
-        return "EVAPOTRANSPIRATION", "unknown", unknown
-    known = weather.evapotranspiration[~np.isnan(weather.evapotranspiration)]
-    mean = f"mean {known.mean():.2f} mm/day" if known.size else "mean unknown"
-    lost = weather.hours - known.size
-    return "evapotranspiration", weather.method, (
-        mean + (f", unknown in {lost} hours" if lost else "")
-    )
-
-
-def _average_months(weather: Weather, site: Site) -> Iterator[tuple[str, str, str]]:
+def _average_months(weather: Weather, site: Site) -> Iterator[Row]:
     """Yield the monthly means for reference grass, as in a site file, if all of them are known."""
     first = np.datetime64(weather.first.replace(tzinfo=None), "h")
     months = (first + np.arange(weather.hours)).astype("datetime64[M]").astype(int) % 12
@@ -255,3 +206,19 @@ def _average_months(weather: Weather, site: Site) -> Iterator[tuple[str, str, st
         sums = np.bincount(months[known], weather.evapotranspiration[known])
         means = np.round(sums / hours / site.crop_coefficient, 2).tolist()
         yield "evapotranspiration", "monthly", f"monthly_evapotranspiration: {means}"
+
+
+def _describe_sources(
+    files: Sequence[Path], site: Site, options: Description | None
+) -> Iterator[Row]:
+    """Yield a row for each quantity of each file if there are two to a dozen files."""
+    found = list(expand(files, options))
+    for file, described in found if 1 < len(found) <= _MAX_FILES else ():
+        for rows in read_file(file, site, described):
+            for quantity, values in rows.values.items():
+                known = values[~np.isnan(values)]
+                if known.size:
+                    yield quantity, QUANTITIES[quantity].unit, (
+                        f"{file}: {known.min():g} to {known.max():g}, mean {known.mean():.3g}; "
+                        f"{values.size - known.size} of {values.size} rows without a value"
+                    )

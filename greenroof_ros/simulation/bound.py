@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from greenroof_ros.base.errors import ConfigurationError
+from greenroof_ros.base.errors import ConfigurationError, FailedError
 from greenroof_ros.physics.cistern import low_outlet_flow
 from greenroof_ros.physics.parameters import PlantParameters, State, plant_parameters
 from greenroof_ros.physics.pump import maximum_pump_flow
@@ -53,7 +53,7 @@ _OVERDRAWN = 1e-4
 _SAME = 1e-3
 
 
-class NoBoundError(Exception):
+class NoBoundError(FailedError):
     """Error raised if the solver finds no optimum; the solver's message states the reason."""
 
 
@@ -73,7 +73,7 @@ def _minimise(
         options=_TOLERANCES,
     )
     if result.status != 0:
-        raise NoBoundError(result.message)
+        raise NoBoundError(f"no bound found; the solver reports: {result.message}")
     return result
 
 

@@ -20,6 +20,7 @@ from contextlib import suppress
 from itertools import islice
 from typing import Any
 
+from greenroof_ros.base.errors import FailedError
 from greenroof_ros.interface.states import PUMP, VALVE
 from greenroof_ros.interface.topics import Qos, read_topics
 from greenroof_ros.ros.domain import SHUTDOWN_S, join
@@ -58,7 +59,7 @@ def read_message(name: str, message: bytes) -> Any:
     return None
 
 
-class RequestError(Exception):
+class RequestError(FailedError):
     """Error for a request that a node did not confirm; the message states the reason.
 
     Attributes:

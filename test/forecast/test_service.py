@@ -221,7 +221,7 @@ def test_the_command(server, tmp_path):
     server.fault = "error"
     ended = run_command(*asked, cwd=tmp_path, env=environment(0))
     assert ended.returncode == 1
-    assert ended.stdout.startswith("no forecast: ")
+    assert ended.stderr.startswith("error: ")
 
 
 def test_what_an_answer_lacks_is_noted_and_the_rest_is_used(server):

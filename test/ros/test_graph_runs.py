@@ -50,6 +50,8 @@ def same_bits(domain: int, directory: Path, *options: str) -> list[dict[str, str
     valve = OF_VALVE if "outlet_command" in rows[0] else {}
     assert OF_VALVE.keys() & bag.keys() == valve.keys()
     for topic, column in (COLUMNS | valve).items():
+        if topic == "/roof/level" and "--roof-noise" in options:
+            continue  # a reading of the sensor; the trajectory has the true level
         values = [message[4:12] for message in bag[topic]]
         assert values == [struct.pack("<d", float(row[column])) for row in rows], topic
     summary, inprocess = (

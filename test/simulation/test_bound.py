@@ -402,7 +402,6 @@ def test_command_for_the_discharge(
     site.write_text(f"{text}low_outlet_valve: true\n")
     assert call(monkeypatch, *given) == 0
     printed = capsys.readouterr().out
-    assert "Minimum discharge" in printed
     assert "mains" not in printed and printed.count("│ bound ") == 1  # the site has no mains top-up
     assert call(monkeypatch, *given, "--json") == 0
     result = json.loads(capsys.readouterr().out)

@@ -63,7 +63,7 @@ def test_a_site_is_written_and_simulated(tmp_path: Path) -> None:
     assert again.returncode == 2 and "--output = 'my_site.yaml': exists" in again.stderr
 
 
-def test_every_line_states_its_source(tmp_path: Path) -> None:
+def test_every_line_states_its_source() -> None:
     """Also of what is given, and of what only waits to be used; lines fit a page."""
     text = format_new_site({**HOUSE, "cistern_height": 1.5})
     entries = re.findall(r"^[a-z]\w*: \S+ +# .*(?:\n +# .*)*", text, re.MULTILINE | re.IGNORECASE)
@@ -154,21 +154,12 @@ def test_sizes_from_a_shed_to_a_hospital(tmp_path: Path) -> None:
         assert inputs.build().notes() == []
 
 
-@pytest.mark.parametrize(("options", "value", "why"), [
-    ((), 0.16, "k_Rs:    0.16, for an interior place; --coast changes it\n"),
-    (("--coast",), 0.19, "k_Rs:    0.19, for a coastal place\n"),
-])
-def test_a_coast(tmp_path: Path, options: tuple[str, ...], value: float, why: str) -> None:
-    """The values of FAO-56, Eq. 50; the file names both, and the command the one it took."""
+@pytest.mark.parametrize(("options", "value"), [((), 0.16), (("--coast",), 0.19)])
+def test_a_coast(tmp_path: Path, options: tuple[str, ...], value: float) -> None:
+    """The values of FAO-56, Eq. 50; the command names the one it took."""
     ended = new_site(tmp_path, *GIVEN, *options)
-    assert why in ended.stdout
+    assert f"k_Rs:    {value}, " in ended.stdout
     assert read_site(tmp_path / "my_site.yaml").k_Rs == value
-    about = re.search(r"^k_Rs: .*\n.*\n.*", (tmp_path / "my_site.yaml").read_text(), re.MULTILINE)
-    assert about is not None and "Eq. 50" in about[0]
-    assert "0.16 is right for" in about[0] and "0.19 for coastal places" in about[0]
-
-
-PLACE = "must be latitude,longitude in degrees with decimal points, such as 43.63,-79.40"
 
 
 @pytest.mark.parametrize(("place", "zone", "latitude", "offset", "start"), [
@@ -194,60 +185,36 @@ def test_places(
     assert f"--weather weather.csv --start {start} --hours 720" in ended.stdout
 
 
-@pytest.mark.parametrize(
-    ("options", "message"), [
-        (GIVEN[2:], "--roof: must be specified, since there is no terminal"),
-        (GIVEN[:2], "--catchment, --cistern, --place: must be specified, since there is no"),
-        ((*GIVEN, "--roof", "12,5"), "--roof: must be a number from 0.1 to 1000000, with a d"),
-        ((*GIVEN, "--roof", "nan"), "argument --roof: must be a number from 0.1 to 1000000, not n"),
-        ((*GIVEN, "--cistern", "5m3"), "argument --cistern: must be a number from 0.01 to 1000"),
-        ((*GIVEN, "--substrate", "moss"), "--substrate: 'moss' must be one of neubrandenburg, ber"),
-        ((*GIVEN, "--substrate-depth", "10"), "--substrate-depth: must be a number from 0.02 to 2"),
-        ((*GIVEN, "--emitters", "10"), "these answers: emitters = 10: needs emitter_flow as well"),
-        (
-            (*GIVEN, "--pump-flow", "9", "--irrigation-rate", "3"),
-            "these answers: irrigation_rate = 3.0: contradicts pump_flow = 9.0",
-        ),
-        ((*GIVEN, "--target", "108"), "z_veg = 0.108: must be below z_cap / a2 = 0.06804 m"),
-        ((*GIVEN, "--time-zone", "Mars"), "--time-zone: must be the IANA name of a time zone"),
-        ((*GIVEN, "--output", "my_site.txt"), "must be a file name that ends in .yaml or ."),
-        ((*GIVEN, "--output", "none/my_site.yaml"), "must be in an existing, writable d"),
-        (
-            (*GIVEN[:-1], "13.40,52.52", "--time-zone", "Europe/Berlin"),
-            f"'13.4,52.52': is not in Europe/Berlin, which is +1 h from UTC; {PLACE}",
-        ),
-        *(((*GIVEN[:-1], place), message) for place, message in (
-            ("91,0", f"{PLACE}, with a latitude from -60 to 79 and a longitude from -180 to 180"),
-            ("-79.40,43.63", "not -79.40,43.63; did you mean 43.63,-79.4?"),
-            *((wrong, f", not {wrong}") for wrong in (
-                "43,63,-79,40", "43.63", "43.63,-181", "nan,0", "43.63;inf", "Toronto", "",
-            )),
-        )),
-    ],
-)
-def test_bad_answers(tmp_path: Path, options: tuple[str, ...], message: str) -> None:
+@pytest.mark.parametrize(("key", "options"), [
+    ("--roof", GIVEN[2:]), ("--catchment, --cistern, --place", GIVEN[:2]),
+    *((options[0], (*GIVEN, *options)) for options in (
+        ("--roof", "12,5"), ("--roof", "nan"), ("--cistern", "5m3"), ("--substrate", "moss"),
+        ("--substrate-depth", "10"), ("--time-zone", "Mars"), ("--output", "my_site.txt"),
+        ("--output", "none/my_site.yaml"), ("--emitters", "1.5"),
+    )),
+    ("emitters = 10: needs emitter_flow", (*GIVEN, "--emitters", "10")),
+    ("contradicts pump_flow", (*GIVEN, "--pump-flow", "9", "--irrigation-rate", "3")),
+    ("must be below z_cap / a2", (*GIVEN, "--target", "108")),
+    *(("--place", (*GIVEN[:-1], place)) for place in (
+        "91,0", "43,63,-79,40", "43.63", "43.63,-181", "nan,0", "43.63;inf", "Toronto", "",
+    )),
+    ("did you mean 43.63,-79.4?", (*GIVEN[:-1], "-79.40,43.63")),
+    ("'13.4,52.52': is not in Europe/Berlin", (
+        *GIVEN[:-1], "13.40,52.52", "--time-zone", "Europe/Berlin",
+    )),
+])
+def test_bad_answers(tmp_path: Path, options: tuple[str, ...], key: str) -> None:
     """Exit code 2, a line, and no file."""
     ended = new_site(tmp_path, *options)
-    assert ended.returncode == 2 and message in ended.stderr and "Traceback" not in ended.stderr
+    assert ended.returncode == 2 and key in ended.stderr and "Traceback" not in ended.stderr
     assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize(("options", "note"), [
-    # Water stress begins at 35.1 mm, and cm were meant.
-    (
-        ("--target", "5"),
-        "plants lack water at the target of 5 mm; water stress begins at 35.1 mm\n",
-    ),
+    (("--target", "5"), "plants lack water at the target of 5 mm; water stress begins at 35.1 mm"),
     # Litres instead of m3; a large roof is nothing strange.
-    (
-        ("--cistern", "5000", "--roof", "3000"),
-        "--cistern 5000 m3 is unusual; is the unit right? The value is usually 1 to 50\n",
-    ),
-    (
-        ("--runoff-coefficient", "0.09"),
-        "--runoff-coefficient 0.09 is unusual; is the unit right? The value is usually 0.75 to "
-        "0.95\n",
-    ),
+    (("--cistern", "5000", "--roof", "3000"), "cistern_volume = 5000 m3 is unusual"),
+    (("--runoff-coefficient", "0.09"), "runoff_coefficient = 0.09"),
 ])
 def test_what_is_unusual_is_noted(tmp_path: Path, options: tuple[str, ...], note: str) -> None:
     ended = new_site(tmp_path, *GIVEN, *options)
@@ -294,9 +261,9 @@ def test_questions(tmp_path: Path) -> None:
     terminal.press("must be a number from 0.1 to 1000000, not a hundred")
     terminal.press("Area of the green roof", "120\r")
     terminal.press("Volume of the cistern up to its overflow (m3, usually 1 to 50): ", "5\r")
-    terminal.press("such as 43.63,-79.40): ", "-79.40,43.63\r")
+    terminal.press("such as 43.63,-79.40: ", "-79.40,43.63\r")
     terminal.press("did you mean 43.63,-79.4?")
-    terminal.press("such as 43.63,-79.40): ", "43.63, -79.40\r")
+    terminal.press("such as 43.63,-79.40: ", "43.63, -79.40\r")
     assert terminal.end() == 0, terminal.shown
     assert "Area that drains" not in terminal.shown
     asked = (tmp_path / "my_site.yaml").read_text()
