@@ -141,6 +141,24 @@ class Parser(argparse.ArgumentParser):
         super().__init__(allow_abbrev=False, formatter_class=_HelpFormatter, **settings)
         self.hint = ""
 
+    @classmethod
+    def of(cls, name: str, text: str | None, usage: str = "[options]") -> Parser:
+        """Return the parser of a command whose help is a docstring.
+
+        Args:
+            name: name of the command.
+            text: the docstring, which from its examples or exit codes on is printed after the
+                options.
+            usage: the command's arguments in its usage line.
+        """
+        about, *more = re.split(
+            r"\n\n(?=Examples?:|Exit codes)", inspect.cleandoc(text or ""), maxsplit=1
+        )
+        return cls(
+            prog=f"greenroof {name}", usage=f"%(prog)s {usage}", description=about,
+            epilog="".join(more),
+        )
+
     def parse_args(self, args: Iterable[str] | None = None, namespace: Any = None) -> Any:
         """Parse a command line; for an unknown option, suggest the likely options."""
         parsed, unknown = self.parse_known_args(args, namespace)
@@ -161,23 +179,6 @@ class Parser(argparse.ArgumentParser):
         if action.choices is not None and value not in action.choices:
             wrong = f"{value!r} {describe_choices([*action.choices], str(value))}"
             raise argparse.ArgumentError(action, wrong)
-
-
-def command_parser(name: str, text: str | None, usage: str = "[options]") -> Parser:
-    """Return the parser of a command whose help is a docstring, as a rule that of its module.
-
-    Args:
-        name: name of the command.
-        text: the docstring, which from its examples or exit codes on is printed after the options.
-        usage: the command's arguments in its usage line.
-    """
-    about, *more = re.split(
-        r"\n\n(?=Examples?:|Exit codes)", inspect.cleandoc(text or ""), maxsplit=1
-    )
-    return Parser(
-        prog=f"greenroof {name}", usage=f"%(prog)s {usage}", description=about,
-        epilog="".join(more),
-    )
 
 
 def make_number_type(

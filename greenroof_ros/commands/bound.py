@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from greenroof_ros.base.command_line import Parser, command, command_parser, make_number_type
+from greenroof_ros.base.command_line import Parser, command, make_number_type
 from greenroof_ros.simulation.bound import BLOCK_S, bound_discharge, clairvoyant_bound
 from greenroof_ros.simulation.loop import simulate
 from greenroof_ros.simulation.options import add_site_arguments, build_run
@@ -30,7 +30,7 @@ Bound = tuple[dict[str, Any], list[tuple[str, str, str]]]
 
 def make_parser() -> Parser:
     """Return the command's parser."""
-    parser = command_parser("bound", __doc__)
+    parser = Parser.of("bound", __doc__)
     add_site_arguments(parser.add_argument_group("the run"))
     group = parser.add_argument_group("the bound")
     group.add_argument(

@@ -22,7 +22,7 @@ import os
 import signal
 from contextlib import suppress
 
-from greenroof_ros.base.command_line import Parser, command, command_parser
+from greenroof_ros.base.command_line import Parser, command
 from greenroof_ros.base.mqtt import parse_broker
 from greenroof_ros.base.processes import InterruptedRun, Signals
 from greenroof_ros.commands.watch import NICENESS, open_store
@@ -33,20 +33,18 @@ from greenroof_ros.watch.feed import Feed
 
 def make_parser() -> Parser:
     """Return the command's parser."""
-    parser = command_parser("bridge", __doc__, "--broker mqtt://HOST[:PORT] [options]")
+    parser = Parser.of("bridge", __doc__, "--broker mqtt://HOST[:PORT] [options]")
     parser.add_argument(
         "--broker", required=True, metavar="ADDRESS",
-        help="publish to this broker: mqtt://HOST[:PORT], or mqtts://HOST[:PORT] for TLS (default "
-        "ports: 1883 and 8883)",
+        help="broker: mqtt://HOST[:PORT], or mqtts://HOST[:PORT] for TLS (ports 1883 and 8883)",
     )
     parser.add_argument(
         "--login", default="", metavar="FILE",
-        help="log in with the username and the password in this YAML file, which only its owner "
-        "may read (chmod 600; default: no login)",
+        help="YAML file with username and password, which only its owner may read (chmod 600)",
     )
     parser.add_argument(
         "--authority", default="", metavar="FILE",
-        help="trust the certificates in this PEM file for mqtts:// (default: the system's)",
+        help="PEM file of the certificates to trust for mqtts:// (default: the system's)",
     )
     parser.add_argument(
         "--allow-open", action="store_true",

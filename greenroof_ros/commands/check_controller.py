@@ -17,13 +17,7 @@ was not found, 3 a graph is running
 
 from __future__ import annotations
 
-from greenroof_ros.base.command_line import (
-    Parser,
-    add_site,
-    command,
-    command_parser,
-    make_number_type,
-)
+from greenroof_ros.base.command_line import Parser, add_site, command, make_number_type
 from greenroof_ros.controllers.check import check_controller
 from greenroof_ros.controllers.registry import BUILT_IN, find_controller
 from greenroof_ros.nodes.check_results import NODE, print_results
@@ -34,7 +28,7 @@ from greenroof_ros.site.horizon import MAX_HORIZON
 
 def make_parser() -> Parser:
     """Return the command's parser."""
-    parser = command_parser("check-controller", __doc__, "(CONTROLLER | --node NAME) [options]")
+    parser = Parser.of("check-controller", __doc__, "(CONTROLLER | --node NAME) [options]")
     subject = parser.add_mutually_exclusive_group(required=True)
     subject.add_argument(
         "controller", nargs="?", metavar="CONTROLLER",

@@ -16,13 +16,7 @@ Exit codes: 0 all checks passed, 1 a check failed, 2 the driver was not found, 3
 
 from __future__ import annotations
 
-from greenroof_ros.base.command_line import (
-    Parser,
-    add_site,
-    command,
-    command_parser,
-    make_number_type,
-)
+from greenroof_ros.base.command_line import Parser, add_site, command, make_number_type
 from greenroof_ros.nodes.check_results import NODE, print_results
 from greenroof_ros.ros.domain import prepare_ros
 from greenroof_ros.site.file import read_site
@@ -30,7 +24,7 @@ from greenroof_ros.site.file import read_site
 
 def make_parser() -> Parser:
     """Return the command's parser."""
-    parser = command_parser("check-pump", __doc__, "--node NAME [options]")
+    parser = Parser.of("check-pump", __doc__, "--node NAME [options]")
     parser.add_argument("--node", required=True, metavar="NAME", help=NODE)
     parser.add_argument(
         "--command", type=make_number_type(0.001, 1.0), default=0.5, metavar="SHARE",

@@ -17,14 +17,7 @@ from __future__ import annotations
 from datetime import datetime, timezone
 from pathlib import Path
 
-from greenroof_ros.base.command_line import (
-    Parser,
-    add_site,
-    command,
-    command_parser,
-    make_number_type,
-    refuse,
-)
+from greenroof_ros.base.command_line import Parser, add_site, command, make_number_type, refuse
 from greenroof_ros.base.text import escape
 from greenroof_ros.base.times import to_people
 from greenroof_ros.commands.fetch_weather import add_url
@@ -34,7 +27,7 @@ from greenroof_ros.site.file import read_site
 
 def make_parser() -> Parser:
     """Return the command's parser."""
-    parser = command_parser("fetch-forecast", __doc__)
+    parser = Parser.of("fetch-forecast", __doc__)
     add_site(parser, "site file, which gives the location and the vegetation")
     parser.add_argument(
         "--ensemble", action="store_true",
@@ -42,8 +35,7 @@ def make_parser() -> Parser:
     )
     parser.add_argument(
         "--model", default="", metavar="NAME",
-        help="weather model by the service's own name, such as icon_seamless (default: the "
-        "service's choice for the location)",
+        help="weather model, such as icon_seamless (default: the service's choice for the place)",
     )
     parser.add_argument(
         "--days", type=make_number_type(1, MAX_DAYS, int), default=7, metavar="N",
@@ -56,8 +48,7 @@ def make_parser() -> Parser:
     )
     parser.add_argument(
         "--keep", type=Path, metavar="DIR",
-        help="keep every new forecast in this directory, up to 2 GB, for use with verify and "
-             "simulate --forecast",
+        help="keep every new forecast in DIR, up to 2 GB, for verify and simulate --forecast",
     )
     return parser
 

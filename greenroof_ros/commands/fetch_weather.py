@@ -27,14 +27,7 @@ import shutil
 from datetime import datetime, timezone
 from pathlib import Path
 
-from greenroof_ros.base.command_line import (
-    Parser,
-    add_site,
-    command,
-    command_parser,
-    make_number_type,
-    print_lines,
-)
+from greenroof_ros.base.command_line import Parser, add_site, command, make_number_type, print_lines
 from greenroof_ros.base.files import replace_text
 from greenroof_ros.base.processes import Signals
 from greenroof_ros.base.progress import ProgressBar
@@ -43,18 +36,13 @@ from greenroof_ros.base.times import FIRST_YEAR
 from greenroof_ros.commands.output_file import refuse_unwritable
 from greenroof_ros.commands.weather_file import show_records
 from greenroof_ros.site.file import read_site
-from greenroof_ros.weather.download import (
-    eccc_station,
-    fetch,
-    join_blocks,
-    open_meteo_archive,
-)
+from greenroof_ros.weather.download import eccc_station, fetch, join_blocks, open_meteo_archive
 from greenroof_ros.weather.records import write_records
 
 
 def make_parser() -> Parser:
     """Return the command's parser."""
-    parser = command_parser("fetch-weather", __doc__, "--years YEARS --output FILE.csv [options]")
+    parser = Parser.of("fetch-weather", __doc__, "--years YEARS --output FILE.csv [options]")
     add_site(parser, "site file, with latitude and longitude; --eccc also needs utc_offset")
     parser.add_argument(
         "--years", type=_parse_years, required=True, metavar="YEARS",
@@ -65,14 +53,15 @@ def make_parser() -> Parser:
         help="write the weather to this file, which must not exist yet",
     )
     parser.add_argument(
-        "--eccc", type=_parse_station, metavar="ID",
-        help="fetch the hourly bulk files of the Environment and Climate Change Canada station "
-        "with this stationID, such as 48549 for Toronto City Centre",
+        "--eccc", type=make_number_type(1, 999_999, int), metavar="ID",
+        help="fetch the hourly bulk files of this station of Environment and Climate Change Canada "
+        "instead: its stationID, which is in the address of its page at climate.weather.gc.ca, "
+        "such as 48549 for Toronto City Centre",
     )
     parser.add_argument(
         "--pause", type=make_number_type(0.01, 3600), metavar="S",
-        help="wait S seconds between requests, and five times as long after a failure; every "
-        "additional failure doubles the wait (default: 3 for Open-Meteo, 1 for ECCC)",
+        help="wait between requests (s), five times as long after a failure, and twice as long "
+        "after each further one (default: 3 for Open-Meteo, 1 for ECCC)",
     )
     add_url(parser, "https://customer-archive-api.open-meteo.com/v1/archive?apikey=KEY")
     return parser
@@ -82,8 +71,8 @@ def add_url(parser: Parser, example: str) -> None:
     """Add the option for the address of a service."""
     parser.add_argument(
         "--url", default="",
-        help="fetch from another server with the same API, with an API key if necessary, such as "
-        f"{example}; the key is neither printed nor stored (default: the service's own address)",
+        help=f"another server with the same API, such as {example}; the key is neither printed "
+        "nor stored (default: the service's own)",
     )
 
 
@@ -101,17 +90,7 @@ def _parse_years(text: str) -> range:
     return years
 
 
-def _parse_station(text: str) -> int:
-    if not (text.isascii() and text.isdecimal()) or len(text) == 7:
-        raise argparse.ArgumentTypeError(
-            "must be the number after 'StationID=' in the address of the station's page at "
-            f"climate.weather.gc.ca, such as 48549, and not the climate identifier; not {text}"
-        )
-    return int(text)
-
-
-# argparse and the documentation show these names.
-_parse_years.__name__, _parse_station.__name__ = "years", "number"
+_parse_years.__name__ = "years"  # argparse and the documentation show this
 
 
 @command

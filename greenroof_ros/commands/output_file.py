@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from greenroof_ros.base.errors import ConfigurationError
+from greenroof_ros.base.command_line import refuse
 
 
 def refuse_unwritable(file: Path, *endings: str) -> None:
@@ -19,12 +19,10 @@ def refuse_unwritable(file: Path, *endings: str) -> None:
         ConfigurationError: if the file has the wrong extension, already exists, or cannot be
             written.
     """
-    def error(expected: str) -> ConfigurationError:
-        return ConfigurationError(expected, key="--output", value=str(file))
-
-    if file.suffix not in endings:
-        raise error(f"must be a file name that ends in {' or '.join(endings)}")
-    if not (file.parent.is_dir() and os.access(file.parent, os.W_OK)):
-        raise error("must be in an existing, writable directory")
-    if file.exists():
-        raise error("exists; choose another file name")
+    writable = file.parent.is_dir() and os.access(file.parent, os.W_OK)
+    wrong = {
+        f"must be a file name that ends in {' or '.join(endings)}": file.suffix not in endings,
+        "must be in an existing, writable directory": not writable,
+        "exists; choose another file name": file.exists(),
+    }
+    refuse(*((broken, "--output", str(file), text) for text, broken in wrong.items()))

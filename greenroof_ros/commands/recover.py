@@ -16,14 +16,7 @@ from typing import NamedTuple
 
 from mcap.records import Channel, Message, Schema
 
-from greenroof_ros.base.command_line import (
-    EXIT_DONE,
-    EXIT_FAILED,
-    Parser,
-    command,
-    command_parser,
-    print_lines,
-)
+from greenroof_ros.base.command_line import EXIT_DONE, EXIT_FAILED, Parser, command, print_lines
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.text import escape
 from greenroof_ros.base.times import from_epoch_ns, to_people
@@ -153,7 +146,7 @@ def _copy_file(file: Path, copy: Path, had: tuple[int, int]) -> tuple[int, list[
 
 def make_parser() -> Parser:
     """Return the command's parser."""
-    parser = command_parser("recover", __doc__, "DIR [options]")
+    parser = Parser.of("recover", __doc__, "DIR [options]")
     parser.add_argument(
         "directory", type=Path, metavar="DIR",
         help="bag to repair, or run directory that contains the bag to repair",

@@ -16,18 +16,13 @@ from contextlib import closing
 from dataclasses import dataclass, replace
 from typing import Any, NoReturn
 
-from greenroof_ros.base.command_line import Parser, command, command_parser, make_number_type
+from greenroof_ros.base.command_line import Parser, command, make_number_type
 from greenroof_ros.base.text import escape
 from greenroof_ros.base.times import parse_time, to_people
 from greenroof_ros.interface.states import PUMP, VALVE
 from greenroof_ros.ros.domain import add_namespace
 from greenroof_ros.ros.reports import Reports
-from greenroof_ros.watch.graph_client import (
-    DIAGNOSTICS,
-    GraphClient,
-    RequestError,
-    read_message,
-)
+from greenroof_ros.watch.graph_client import DIAGNOSTICS, GraphClient, RequestError, read_message
 
 # Longest wait for the node (s), as its discovery takes seconds.
 _PATIENCE_S = 20.0
@@ -67,7 +62,7 @@ class Request:
     def make_parser(self) -> Parser:
         """Return the command's parser."""
         text = inspect.getdoc(self.request) or ""
-        parser = command_parser(
+        parser = Parser.of(
             self.name, text.format(prog=f"greenroof {self.name}", **_WORDS[self.role])
             + "\n\nExit codes: 0 done, 1 not done, or not confirmed, 2 bad usage"
         )
@@ -121,17 +116,14 @@ def _add_hold_options(parser: Parser) -> None:
     end = parser.add_mutually_exclusive_group()
     end.add_argument(
         "--until", type=_parse_future_time, metavar="TIME",
-        help="end the hold at this future time (ISO 8601), such as 2026-12-24T08:00-05:00; a "
-        "time without a UTC offset is this machine's local time (default: no end)",
+        help="end of the hold, such as 2026-12-24T08:00-05:00, or without an offset on this "
+        "machine's clock (default: no end)",
     )
     end.add_argument(
         "--for", dest="seconds", type=_parse_duration, metavar="TIME",
-        help="end the hold after this time, such as 30min, 48h or 48 (hours; default: no end)",
+        help="length of the hold, such as 30min, 48h or 48 (hours; default: no end)",
     )
-    parser.add_argument(
-        "--reason", default="", metavar="TEXT",
-        help="state this reason for the hold (default: none)",
-    )
+    parser.add_argument("--reason", default="", metavar="TEXT", help="reason for the hold")
 
 
 def _hold(client: GraphClient, arguments: argparse.Namespace, _: Reports) -> str:
@@ -210,9 +202,7 @@ def _dose(client: GraphClient, arguments: argparse.Namespace, reports: Reports) 
         client.receive()
         now, pump = time.monotonic(), reports.node(PUMP)
         if now - max(accepted, pump.received_at if pump else 0.0) > _REPORT_S:
-            raise RequestError(
-                "it is unknown whether the dose continues: the pump node is silent"
-            )
+            raise RequestError("it is unknown whether the dose continues: the pump node is silent")
         dose = None if pump is None else pump.values.get("dose")
         if isinstance(dose, dict) and dose.get("id") == requested_at:
             before, sentence = sentence, str(dose.get("sentence", ""))

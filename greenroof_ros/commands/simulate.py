@@ -18,29 +18,21 @@ import csv
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from datetime import timedelta
 from operator import attrgetter
 from pathlib import Path
-from typing import Any
 
-import numpy as np
-
-from greenroof_ros.base.command_line import Parser, command, command_parser, make_number_type
+from greenroof_ros.base.command_line import Parser, command, make_number_type
 from greenroof_ros.base.files import add_path_to_errors
 from greenroof_ros.base.processes import InterruptedRun, Signals
 from greenroof_ros.base.times import hours_minutes_seconds
 from greenroof_ros.bringup.progress import RunProgress
 from greenroof_ros.controllers.onoff import OnOff
-from greenroof_ros.results.trajectory import CSV, columns_of
+from greenroof_ros.results.trajectory import CSV, Column, Trajectory, columns_of
 from greenroof_ros.simulation import screen, summary
 from greenroof_ros.simulation.directory import make_run_directory, write_configuration
 from greenroof_ros.simulation.loop import Simulation, simulate
-from greenroof_ros.simulation.options import (
-    add_output_arguments,
-    add_run_arguments,
-    build_run,
-)
+from greenroof_ros.simulation.options import add_output_arguments, add_run_arguments, build_run
 from greenroof_ros.simulation.run import Run
 
 # Time between two updates of the progress (s): often enough for the eye, rarely enough to cost
@@ -52,18 +44,18 @@ _ROWS = 65_536
 
 def make_parser() -> Parser:
     """Return the command's parser."""
-    parser = command_parser("simulate", __doc__)
+    parser = Parser.of("simulate", __doc__)
     add_run_arguments(parser)
     group = add_output_arguments(parser)
     group.add_argument(
         "--trajectory", action="store_true",
-        help="write every tick from 0 to N, with numbers in full precision, to trajectory.csv in "
-        "the run's directory; greenroof report draws its figures from this file",
+        help="write every tick from 0 to N to trajectory.csv in the run's directory; greenroof "
+        "report draws its figures from this file",
     )
     group.add_argument(
         "--trajectory-every", type=make_number_type(0, 1e9), default=0.0, metavar="S",
-        help="write only one tick every S seconds, and the last tick, instead of all ticks. At a "
-        "hundred bytes per tick, all ticks of a year take up gigabytes",
+        help="write only one tick every S seconds, and the last tick; all ticks of a year take up "
+        "gigabytes",
     )
     return parser
 
@@ -78,45 +70,57 @@ def main() -> None:
     if arguments.trajectory or arguments.trajectory_every:
         every = run.count_ticks_between(arguments.trajectory_every)
     simulation = Simulation(run)  # if a controller cannot be made, there is no directory
-    position = _At(Signals(interrupt=True))
+    progress = _Progress(run)
     directory = make_run_directory(arguments.output, run.controller.name)
-    with _described(run, position, directory):
+    with _described(run, progress, directory):
         write_configuration(directory, run, {})
-        with RunProgress(run.steps, run.site.tau) as progress:
+        with progress, _open_trajectory(run, every, directory / CSV) as write_row:
             if arguments.speed or run.controller.kind is not OnOff:
-                _simulate_ticks(
-                    run, simulation, arguments.speed, every, directory / CSV, position, progress
-                )
+                _simulate_ticks(run, simulation, arguments.speed, every, write_row, progress)
                 result = simulation.summary()
             else:
-                result = _simulate_at_once(run, every, directory / CSV, position, progress)
+                result, trajectory = simulate(run, every=every, progress=progress.show_share)
+                if trajectory is not None:
+                    _write_trajectory(run, trajectory, write_row)
         summary.write(result, directory)
     screen.show_summary(result, directory, as_json=arguments.json)
-    position.signals.check()
+    progress.signals.check()
 
 
-@dataclass
-class _At:
-    """The signals received so far, and the last simulated tick; None before the first."""
+class _Progress(RunProgress):
+    """Progress bar of a run that a signal interrupts.
 
-    signals: Signals
-    tick: int | None = None
+    Attributes:
+        signals: the signals received so far.
+        tick: the last simulated tick; None before the first.
+    """
+
+    def __init__(self, run: Run) -> None:
+        super().__init__(run.steps, run.site.tau)
+        self.signals, self._run = Signals(interrupt=True), run
+        self.tick: int | None = None
+
+    def show_share(self, share: float) -> None:
+        """Show the completed share of a run (1)."""
+        self.signals.check()
+        self.tick = round(share * (self._run.steps + 1)) - 1
+        self.show(hours_minutes_seconds(self.tick * self._run.site.tau), share)
 
 
 @contextmanager
-def _described(run: Run, position: _At, directory: Path) -> Iterator[None]:
+def _described(run: Run, progress: _Progress, directory: Path) -> Iterator[None]:
     """Keep the summary of an unfinished run up to date: its status, and why it ended early."""
     def write(status: str, reason: str | None = None) -> None:
         summary.write(summary.make_unfinished_summary(
-            run, status, reason=reason, last_tick=position.tick
+            run, status, reason=reason, last_tick=progress.tick
         ), directory)
 
     try:
         write(summary.RUNNING)
         yield
     except (Exception, KeyboardInterrupt) as error:
-        received = position.signals.received
-        position.signals.ignore()
+        received = progress.signals.received
+        progress.signals.ignore()
         if received is None:
             write(summary.FAILED, str(error))
             raise
@@ -127,47 +131,35 @@ def _described(run: Run, position: _At, directory: Path) -> Iterator[None]:
 
 
 def _simulate_ticks(
-    run: Run, simulation: Simulation, speed: float, every: int, file: Path, position: _At,
-    progress: RunProgress,
+    run: Run, simulation: Simulation, speed: float, every: int, write_row: Callable[..., None],
+    progress: _Progress,
 ) -> None:
     """Simulate tick by tick, at the given speed unless it is 0, and write each n-th tick."""
     values = attrgetter(*(column.tick for column in _columns(run)))
     began = shown = time.monotonic()
-    with _open_trajectory(run, every, file) as write_row:
-        for tick in simulation.ticks():
-            position.tick = tick.k
-            if every and (tick.k % every == 0 or tick.k == run.steps):
-                write_row(tick.k * run.site.tau, *values(tick))
-            now = time.monotonic()
-            if speed:
-                time.sleep(max(0.0, began + tick.k * run.site.tau / speed - now))
-            if now - shown > _INTERVAL_S or tick.k == run.steps:
-                position.signals.check()
-                shown = now
-                progress.show_tick(tick.k, tick.cistern_level, tick.roof_level, tick.command)
+    for tick in simulation.ticks():
+        progress.tick = tick.k
+        if every and (tick.k % every == 0 or tick.k == run.steps):
+            write_row(tick.k * run.site.tau, *values(tick))
+        now = time.monotonic()
+        if speed:
+            time.sleep(max(0.0, began + tick.k * run.site.tau / speed - now))
+        if now - shown > _INTERVAL_S or tick.k == run.steps:
+            progress.signals.check()
+            shown = now
+            progress.show_tick(tick.k, tick.cistern_level, tick.roof_level, tick.command)
 
 
-def _simulate_at_once(
-    run: Run, every: int, file: Path, position: _At, progress: RunProgress
-) -> dict[str, Any]:
-    """Simulate on/off as fast as possible, write every n-th tick, and return the summary."""
-    def show(share: float) -> None:
-        position.signals.check()
-        position.tick = round(share * (run.steps + 1)) - 1
-        progress.show(hours_minutes_seconds(position.tick * run.site.tau), share)
-
-    result, trajectory = simulate(run, every=every, progress=show)
-    with _open_trajectory(run, every, file) as write_row:
-        names = ("time", *(column.attribute or column.tick for column in _columns(run)))
-        columns = [getattr(trajectory, name) for name in names] if trajectory else [np.empty(0)]
-        for first in range(0, len(columns[0]), _ROWS):
-            part = [column[first : first + _ROWS].tolist() for column in columns]
-            for values in zip(*part, strict=True):
-                write_row(*values)
-    return result
+def _write_trajectory(run: Run, trajectory: Trajectory, write_row: Callable[..., None]) -> None:
+    names = ("time", *(column.attribute or column.tick for column in _columns(run)))
+    columns = [getattr(trajectory, name) for name in names]
+    for first in range(0, len(columns[0]), _ROWS):
+        part = [column[first : first + _ROWS].tolist() for column in columns]
+        for values in zip(*part, strict=True):
+            write_row(*values)
 
 
-def _columns(run: Run) -> list[Any]:
+def _columns(run: Run) -> list[Column]:
     """Return the columns of a trajectory except the levels, which the volumes determine."""
     return [column for column in columns_of(run.site) if not column.name.endswith("level_m")]
 

@@ -28,7 +28,7 @@ from pathlib import Path
 
 import yaml
 
-from greenroof_ros.base.command_line import Parser, add_site, command, command_parser, refuse
+from greenroof_ros.base.command_line import Parser, add_site, command, refuse
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.processes import child_environment, scratch_directory
 from greenroof_ros.commands.simulators import add_valve_fault
@@ -47,14 +47,13 @@ _ENDING_S = 5.0
 
 def make_parser() -> Parser:
     """Return the command's parser."""
-    parser = command_parser(
+    parser = Parser.of(
         "simulators live", __doc__, "[--site FILE] [--state DIR] [options of greenroof live]"
     )
     add_site(parser)
     parser.add_argument(
         "--state", type=Path, default=Path("simulated_live"), metavar="DIR",
-        help="directory of the simulated site, which should not be that of a real one (default: "
-        "%(default)s)",
+        help="directory of the simulated site, not that of a real one (default: %(default)s)",
     )
     add_valve_fault(parser)
     return parser
@@ -79,12 +78,13 @@ def main() -> None:
         cistern = _CISTERN * site.cistern_volume(site.z_o)
         simulated = [f"--cistern={cistern}", f"--roof={_ROOF * site.x2_star}"]
         if site.irrigated:
-            drive = directory / "drive.yaml"
-            drive.write_text(_describe_drive(), encoding="utf-8")
-            drive_at = f"gateway://127.0.0.1:{drive_port}"
+            drive, at = directory / "drive.yaml", f"gateway://127.0.0.1:{drive_port}"
+            content = yaml.safe_load(find_drive_file(_DRIVE).read_text(encoding="utf-8"))
+            # Nothing is unverified: the simulated drive follows the file.
+            drive.write_text(yaml.safe_dump({**content, "unverified": []}), encoding="utf-8")
             common += ["--drive", str(drive)]
-            others += ["--drive-at", drive_at]
-            simulated += ["--at", drive_at]
+            others += ["--drive-at", at]
+            simulated += ["--at", at]
         if site.low_outlet_valve:
             stack.enter_context(_run(_find_broker(directory, broker_port)))
             common += ["--valve", _RELAY, "--valve-at", f"mqtt://127.0.0.1:{broker_port}/valve"]
@@ -135,12 +135,6 @@ def _find_broker(directory: Path, port: int) -> list[str]:
         f"listener {port} 127.0.0.1\nallow_anonymous true\nlog_dest none\n", encoding="utf-8"
     )
     return [mosquitto, "-c", str(file)]
-
-
-def _describe_drive() -> str:
-    """Return a drive file in which nothing is unverified: the simulated drive follows the file."""
-    content = yaml.safe_load(find_drive_file(_DRIVE).read_text(encoding="utf-8"))
-    return yaml.safe_dump({**content, "unverified": []}, sort_keys=False)
 
 
 def _describe_sensors(site: Site, port: int) -> str:

@@ -27,7 +27,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from greenroof_ros.base.command_line import Parser, command, command_parser, refuse
+from greenroof_ros.base.command_line import Parser, command, refuse
 from greenroof_ros.base.mqtt import parse_topic
 from greenroof_ros.live.devices.drive_file import find_drive_file, read_relay_file
 from greenroof_ros.live.devices.exchange import Endpoint, read_endpoint
@@ -47,39 +47,34 @@ _TIMER_S = 5.0
 
 def make_parser() -> Parser:
     """Return the command's parser."""
-    parser = command_parser("simulators site", __doc__)
+    parser = Parser.of("simulators site", __doc__)
     devices = parser.add_argument_group(
         "devices", "Anyone who can reach the addresses of the simulated devices can operate them.",
     )
     devices.add_argument(
         "--drive", default="danfoss_fc202", metavar="NAME",
-        help="simulate this drive or relay of the pump: a name in config/drives/, or your own file "
-        "(default: %(default)s)",
+        help="drive or relay of the pump: name in config/drives/ or file (default: %(default)s)",
     )
     devices.add_argument(
         "--at", default="gateway://127.0.0.1:5020", metavar="ADDRESS",
-        help="address of the drive or relay: tcp://HOST:PORT, gateway://HOST:PORT for a gateway to "
-        "the drive's serial port, a serial line, or mqtt://HOST/TOPIC for a relay (default: "
-        "%(default)s)",
+        help="its address: tcp://HOST:PORT, gateway://HOST:PORT for a gateway to its serial port, "
+        "a serial line, or mqtt://HOST/TOPIC for a relay (default: %(default)s)",
     )
     devices.add_argument(
         "--valve", default="tasmota", metavar="NAME",
-        help="simulate this relay of the valve: a name in config/drives/, or your own relay file "
-        "(default: %(default)s)",
+        help="relay of the valve: name in config/drives/ or file (default: %(default)s)",
     )
     devices.add_argument(
         "--valve-at", default="mqtt://127.0.0.1/valve", metavar="ADDRESS",
-        help="address of this relay: mqtt://HOST/TOPIC (default: %(default)s)",
+        help="its address: mqtt://HOST/TOPIC (default: %(default)s)",
     )
     add_valve_fault(devices)
     devices.add_argument(
         "--sensors", type=Path, metavar="FILE",
-        help="simulate the sensors in this file (default: config/sensors.yaml)",
+        help="file of the sensors (default: config/sensors.yaml)",
     )
-    add_site_arguments(parser.add_argument_group(
-        "the site",
-        "After --hours, the simulator continues with the last weather values.",
-    ))
+    about = "After --hours, the simulator continues with the last weather values."
+    add_site_arguments(parser.add_argument_group("the site", about))
     return parser
 
 

@@ -21,7 +21,7 @@ from collections.abc import Mapping
 from functools import partial
 from typing import Any
 
-from greenroof_ros.base.command_line import EXIT_DONE, Parser, command, command_parser
+from greenroof_ros.base.command_line import EXIT_DONE, Parser, command
 from greenroof_ros.commands.watch import open_store
 from greenroof_ros.interface.states import VALVE
 from greenroof_ros.ros.domain import add_namespace
@@ -42,7 +42,7 @@ _LEVELS = {"error": "Alarm", "warn": "Warning"}
 
 def make_parser() -> Parser:
     """Return the command's parser."""
-    parser = command_parser("status", __doc__)
+    parser = Parser.of("status", __doc__)
     add_namespace(parser)
     return parser
 

@@ -13,13 +13,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from greenroof_ros.base.command_line import (
-    EXIT_DONE,
-    EXIT_FAILED,
-    Parser,
-    command,
-    command_parser,
-)
+from greenroof_ros.base.command_line import EXIT_DONE, EXIT_FAILED, Parser, command
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.live.devices.exchange import read_endpoint, stop_drive
 from greenroof_ros.live.live_site import add_drive, read_drive
@@ -27,7 +21,7 @@ from greenroof_ros.live.live_site import add_drive, read_drive
 
 def make_parser() -> Parser:
     """Return the command's parser."""
-    parser = command_parser("stop-drive", __doc__, "--drive NAME --drive-at ADDRESS [options]")
+    parser = Parser.of("stop-drive", __doc__, "--drive NAME --drive-at ADDRESS [options]")
     add_drive(parser)
     return parser
 

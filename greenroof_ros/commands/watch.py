@@ -37,7 +37,6 @@ from pathlib import Path
 from greenroof_ros.base.command_line import (
     Parser,
     command,
-    command_parser,
     make_number_type,
     option_of,
     print_lines,
@@ -50,14 +49,7 @@ from greenroof_ros.ros.domain import add_namespace
 from greenroof_ros.watch.feed import Feed
 from greenroof_ros.watch.foxglove_server import FoxgloveServer
 from greenroof_ros.watch.lines import read_last_seen
-from greenroof_ros.watch.listening import (
-    LOOPBACK,
-    PORTS,
-    Listener,
-    listen,
-    new_token,
-    read_token,
-)
+from greenroof_ros.watch.listening import LOOPBACK, PORTS, Listener, listen, new_token, read_token
 from greenroof_ros.watch.store import GraphStore
 
 NICENESS = 10
@@ -67,19 +59,18 @@ time"""
 
 def make_parser() -> Parser:
     """Return the command's parser."""
-    parser = command_parser("watch", __doc__)
+    parser = Parser.of("watch", __doc__)
     add_namespace(parser)
     parser.add_argument(
         "--foxglove", nargs="?", const=8765, type=make_number_type(0, 65535, int), metavar="PORT",
-        help="instead of the page, serve the graph to Foxglove or Lichtblick on this machine, at "
-        "the address printed. PORT is 8765, as their viewers expect, if omitted; 0 selects any "
-        "free port. Requires the extra [foxglove]",
+        help="instead of the page, serve the graph to Foxglove or Lichtblick on this machine at "
+        "this port (8765 if omitted, 0 for any free one). Requires the extra [foxglove]",
     )
     parser.add_argument(
         "--allow-release", action="store_true",
         help="allow the page to release the pump, whoever holds it, to clear the fault "
-        "speed_not_followed, to open and release the outlet valve and, if the site file allows "
-        "doses, to request a dose. The page then requires its token on this machine as well",
+        "speed_not_followed, to open and release the outlet valve and to request doses that the "
+        "site file allows; the page then always requires its token",
     )
     parser.add_argument(
         "--host", metavar="ADDRESS",
@@ -89,14 +80,12 @@ def make_parser() -> Parser:
     )
     parser.add_argument(
         "--port", type=make_number_type(1, 65535, int), metavar="N",
-        help=f"serve the page on this TCP port (default: {PORTS[0]} or, if that is in use, the "
-        "next free port)",
+        help=f"serve the page on this TCP port (default: {PORTS[0]} or the next free one)",
     )
     parser.add_argument(
         "--token-file", type=Path, metavar="FILE",
-        help="always require the token in this file, which is created if it does not exist and "
-        "which only its owner may read, so that the address stays the same (default: if the page "
-        "requires a token, a new one at each start)",
+        help="always require the token in this file, which only its owner may read and which is "
+        "created if it does not exist (default: a new token at each start, if one is required)",
     )
     return parser
 

@@ -32,7 +32,7 @@ from typing import Any
 
 import numpy as np
 
-from greenroof_ros.base.command_line import Parser, add_site, command, command_parser, option_of
+from greenroof_ros.base.command_line import Parser, add_site, command, option_of
 from greenroof_ros.base.console import PlainConsole
 from greenroof_ros.base.errors import ConfigurationError, rename_keys
 from greenroof_ros.base.files import add_path_to_errors, parse_yaml
@@ -68,7 +68,7 @@ Row = tuple[str, str, str]
 
 def make_parser() -> Parser:
     """Return the command's parser."""
-    parser = command_parser("weather", __doc__, "FILE [FILE ...] [options]")
+    parser = Parser.of("weather", __doc__, "FILE [FILE ...] [options]")
     parser.add_argument(
         "files", nargs="+", metavar="FILE",
         help="weather files, descriptions of weather files, directories, or a pattern in quotes",
@@ -76,18 +76,14 @@ def make_parser() -> Parser:
     add_site(parser, "use the location, time zone and monthly means in this site file")
     parser.add_argument(
         "-o", "--output", type=Path, metavar="FILE.csv",
-        help="write the weather to this new CSV file, in the package's own form; a run with this "
-        "file yields the same numbers",
+        help="write the weather to this new CSV file, with which a run yields the same numbers",
     )
     parser.add_argument(
         "--describe", action="store_true",
-        help="print a description of the file, filled in as far as its first lines say it; a "
-        "person must replace each question mark",
+        help="print a description of the file, in which a person must replace each question mark",
     )
-    group = parser.add_argument_group(
-        "keys of a description", "They apply to files that are not named by a description. "
-        f"{_DASH}."
-    )
+    about = f"They apply to files that are not named by a description. {_DASH}."
+    group = parser.add_argument_group("keys of a description", about)
     parser.hint = _DASH
     for key in _options():
         settings: Any = {"nargs": "*", "action": "extend"} if _has_many(key) else {}

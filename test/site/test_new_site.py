@@ -1,16 +1,11 @@
-"""A new site: asked for on a terminal, or given by options; a run with it goes well."""
+"""A new site, given by options; a run with it goes well."""
 
 from __future__ import annotations
 
-import fcntl
 import json
 import os
-import pty
 import re
-import select
 import subprocess
-import sys
-import termios
 from pathlib import Path
 
 import pytest
@@ -186,7 +181,7 @@ def test_places(
 
 
 @pytest.mark.parametrize(("key", "options"), [
-    ("--roof", GIVEN[2:]), ("--catchment, --cistern, --place", GIVEN[:2]),
+    ("--roof", GIVEN[2:]), ("--catchment, --cistern, --place", GIVEN[:2]), ("--place", GIVEN[:-2]),
     *((options[0], (*GIVEN, *options)) for options in (
         ("--roof", "12,5"), ("--roof", "nan"), ("--cistern", "5m3"), ("--substrate", "moss"),
         ("--substrate-depth", "10"), ("--time-zone", "Mars"), ("--output", "my_site.txt"),
@@ -220,66 +215,3 @@ def test_what_is_unusual_is_noted(tmp_path: Path, options: tuple[str, ...], note
     ended = new_site(tmp_path, *GIVEN, *options)
     assert ended.returncode == 0
     assert ended.stderr.startswith(f"note: {note}") and ended.stderr.count("note") == 1
-
-
-class Terminal:
-    """The command on a terminal of its own, where keys are pressed."""
-
-    def __init__(self, directory: Path, *options: str) -> None:
-        self._screen, inner = pty.openpty()
-        self.process = subprocess.Popen(
-            [sys.executable, "-m", "greenroof_ros", "new-site", *options], cwd=directory,
-            stdin=inner, stdout=inner, stderr=inner, start_new_session=True,
-            preexec_fn=lambda: fcntl.ioctl(0, termios.TIOCSCTTY, 0),
-        )
-        os.close(inner)
-        self.shown, self._seen = "", 0
-
-    def press(self, expected: str, keys: str = "") -> None:
-        """Type keys after a text is shown, which follows the one before."""
-        while (place := self.shown.find(expected, self._seen)) < 0:
-            assert select.select([self._screen], [], [], 60)[0], self.shown
-            self.shown += os.read(self._screen, 4096).decode()
-        self._seen = place + len(expected)
-        os.write(self._screen, keys.encode())
-
-    def end(self) -> int:
-        """Return the exit code."""
-        try:
-            while more := os.read(self._screen, 4096):
-                self.shown += more.decode()
-        except OSError:  # the command has closed its side
-            pass
-        os.close(self._screen)
-        return self.process.wait(60)
-
-
-def test_questions(tmp_path: Path) -> None:
-    """What is wrong is asked again; what is given by an option is not asked."""
-    terminal = Terminal(tmp_path, "--catchment", "200")
-    terminal.press("Area of the green roof (m2, usually 20 to 2000): ", "a hundred\r")
-    terminal.press("must be a number from 0.1 to 1000000, not a hundred")
-    terminal.press("Area of the green roof", "120\r")
-    terminal.press("Volume of the cistern up to its overflow (m3, usually 1 to 50): ", "5\r")
-    terminal.press("such as 43.63,-79.40: ", "-79.40,43.63\r")
-    terminal.press("did you mean 43.63,-79.4?")
-    terminal.press("such as 43.63,-79.40: ", "43.63, -79.40\r")
-    assert terminal.end() == 0, terminal.shown
-    assert "Area that drains" not in terminal.shown
-    asked = (tmp_path / "my_site.yaml").read_text()
-    assert new_site(tmp_path, *GIVEN, "-o", "given.yaml").returncode == 0
-    assert asked == (tmp_path / "given.yaml").read_text()
-
-
-@pytest.mark.parametrize(("key", "code", "end"), [
-    ("\x03", 130, "interrupted"),
-    ("\x04", 2, "error: --cistern: is missing, since the question was not answered"),
-])
-def test_an_end_at_a_question(tmp_path: Path, key: str, code: int, end: str) -> None:
-    """By Ctrl-C or Ctrl-D: a line, and nothing is written."""
-    terminal = Terminal(tmp_path, "--catchment", "200")
-    terminal.press("Area of the green roof", "120\r")
-    terminal.press("Volume of the cistern", key)
-    assert terminal.end() == code
-    assert terminal.shown.rstrip().endswith(end) and "Traceback" not in terminal.shown
-    assert not list(tmp_path.iterdir())
