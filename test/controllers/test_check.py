@@ -45,50 +45,32 @@ def test_controllers_that_keep_to_it(name: str) -> None:
     assert not any(results.values())
 
 
-# The change, the rule that it breaks, and the message.
-@pytest.mark.parametrize(("change", "rule", "problem"), [
-    (returning("return -command if command else 0.0"), FINITE, "must be a finite number of at le"),
-    (returning("return command if self.gain else -1.0"), EITHER_END, "with gain = 0, command() "),
-    (
-        returning("import random; return command * random.random()"),
-        "two instances give the same commands for the same inputs", "for the same inputs",
-    ),
-    (
-        returning("evapotranspiration[0] = 1.0; return command"),
-        "it does not modify the forecasts passed to it", "copy them first",
-    ),
-    (
-        returning("precipitation[3]; return command"),
-        "a missing or invalid forecast leads only to a valid command or a ConfigurationError",
-        "raises IndexError",
-    ),
-    (
-        {"statistics(self) -> None:\n": 'statistics(self):\n        return {"solves": 1}\n'},
-        "statistics() returns None, or the statistics of its solver",
-        "statistics() must return None, or a value for each of fallbacks, max_s, mean_s, p99_s, ",
-    ),
-    (  # the node can only send an array of floats with the interface's columns
-        {HEAD: '    outputs = {"/controller/plan": "plan"}\n    import numpy\n'
-            f"    plan = numpy.zeros((2, 4), dtype=int)\n{HEAD}"},
-        OUTPUTS, "the attribute plan must be a numpy array of floats of shape (n, 4)",
-    ),
-    (opening("1.2"), VALVE, "Proportional = 1.2: must be a number from 0 to 1"),
-    (opening("float('nan')"), VALVE, "Proportional = nan: must be a number from 0 to 1"),
-    (opening("None"), VALVE, "Proportional = None: must be a number from 0 to 1"),
-    (opening("{}[0]"), VALVE, "Proportional.outlet: raises KeyError: 0"),
-    (
-        opening("self.__dict__.setdefault('shares', [1.0, 0.5]).pop()"), VALVE,
-        "Proportional.outlet: raises IndexError: pop from empty list",
-    ),
-    (opening("__import__('random').random()"), VALVE, "for the same inputs"),
-    (opening("self.gain / 20"), EITHER_END, "with gain = 10000, "),
-    ({"self.gain = gain": "self.gain = gain; self.outlet = 0.0"}, VALVE, "define it in the class"),
-    (opening("__import__('numpy').float32(1)"), "", ""),
-    (opening("-0.0"), "", ""),
+# The change and the rule that it breaks.
+@pytest.mark.parametrize(("change", "rule"), [
+    (returning("return -command if command else 0.0"), FINITE),
+    (returning("return command if self.gain else -1.0"), EITHER_END),
+    (returning("import random; return command * random.random()"),
+     "two instances give the same commands for the same inputs"),
+    (returning("evapotranspiration[0] = 1.0; return command"),
+     "it does not modify the forecasts passed to it"),
+    (returning("precipitation[3]; return command"),
+     "a missing or invalid forecast leads only to a valid command or a ConfigurationError"),
+    ({"statistics(self) -> None:\n": 'statistics(self):\n        return {"solves": 1}\n'},
+     "statistics() returns None, or the statistics of its solver"),
+    # The node can only send an array of floats with the interface's columns.
+    ({HEAD: '    outputs = {"/controller/plan": "plan"}\n    import numpy\n'
+        f"    plan = numpy.zeros((2, 4), dtype=int)\n{HEAD}"}, OUTPUTS),
+    *((opening(share), VALVE) for share in (
+        "1.2", "float('nan')", "None", "{}[0]", "__import__('random').random()",
+        "self.__dict__.setdefault('shares', [1.0, 0.5]).pop()",
+    )),
+    (opening("self.gain / 20"), EITHER_END),
+    ({"self.gain = gain": "self.gain = gain; self.outlet = 0.0"}, VALVE),
+    (opening("__import__('numpy').float32(1)"), ""),
+    (opening("-0.0"), ""),
 ])
 def test_changed_controllers(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, change: dict[str, str], rule: str,
-    problem: str,
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, change: dict[str, str], rule: str
 ) -> None:
     """Each broken one fails for its own reason; without a rule, all is right."""
     ((old, new),) = change.items()
@@ -96,7 +78,7 @@ def test_changed_controllers(
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.delitem(sys.modules, "changed", raising=False)
     problems = check_controller(find_controller("changed:Proportional"), PAPER_SITE)
-    assert problem in problems[rule] if rule else not any(problems.values())
+    assert problems[rule] if rule else not any(problems.values())
 
 
 def test_the_command(tmp_path: Path) -> None:

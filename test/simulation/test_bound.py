@@ -376,15 +376,12 @@ def test_command(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[
     options = ("--hours", "0.5", "--block", "30", "--max-command", "0.02")
     assert call(monkeypatch, *options, "--json") == 0
     result = json.loads(capsys.readouterr().out)
-    assert result["block_s"] == 30
-    assert result["steps"] == 1800
-    assert result["max_command"] == 0.02
+    assert (result["block_s"], result["steps"], result["max_command"]) == (30, 1800, 0.02)
     bound = clairvoyant_bound(paper_run("--hours", "0.5"), 30.0, 0.02)
     assert result["bound_m3"] == pytest.approx(bound) and bound > 0
     assert call(monkeypatch, *options) == 0
     shown = capsys.readouterr().out
-    for words in (f"{result['bound_m3']:.2f}", "at most 0.02", "30 s", "published"):
-        assert words in shown
+    assert f"{bound:.2f}" in shown and "30 s" in shown
 
 
 def test_command_for_the_discharge(
@@ -409,4 +406,3 @@ def test_command_for_the_discharge(
     assert result["wet_discharge_m3"] >= result["frontier"][0]["wet_discharge_m3"] - 1e-6
     for option in ("--block", "--max-command"):
         assert call(monkeypatch, *given, option, "0.5") == 2
-        assert "cannot be used with --of discharge" in capsys.readouterr().err

@@ -31,32 +31,24 @@ def run_in_shell(command: str, cwd: Path) -> subprocess.CompletedProcess[str]:
     )
 
 
-def test_a_summary_that_cannot_be_printed(tmp_path: Path) -> None:
-    """The run is done, its summary is in its file, and one line states the reason."""
+def test_an_output_that_is_full_or_that_no_one_reads(tmp_path: Path) -> None:
+    """The run is done and its summary in its file; one line states the reason, or none.
+
+    A limit on the size of files stands for a full disk: the message names the file.
+    """
     done = run_in_shell("$SIMULATE --json >/dev/full", tmp_path)
     assert (done.returncode, done.stderr.splitlines()[-1]) == (1, "error: No space left on device")
     assert json.loads((tmp_path / "run" / "summary.json").read_text())["status"] == "done"
-
-
-def test_file_that_has_no_room(tmp_path: Path) -> None:
-    """A limit on the size of files stands for a full disk: the message names the file."""
-    command = "$SIMULATE --hours 1 --controller mpc --trajectory"
-    done = run_in_shell(f"ulimit -f 100; {command}", tmp_path)
-    file = tmp_path / "run" / "trajectory.csv"
-    assert (done.returncode, done.stderr.splitlines()[-1]) == (1, f"error: {file}: File too large")
-
-
-def test_a_summary_that_cannot_be_written_is_an_error(tmp_path: Path) -> None:
-    with pytest.raises(OSError, match=r"No such file or directory: '.*gone/summary.json'"):
-        summary.write({"status": "done"}, tmp_path / "gone")
-
-
-def test_output_that_no_one_reads(tmp_path: Path) -> None:
-    """As with '| head': no message, and the run's directory is complete."""
-    done = run_in_shell("{ $SIMULATE --json; echo $? >code; } | :", tmp_path)
+    done = run_in_shell("{ $SIMULATE --json --output piped; echo $? >code; } | :", tmp_path)
     assert (tmp_path / "code").read_text() == "1\n"
     assert "error" not in done.stderr.lower()
-    assert (tmp_path / "run" / "summary.json").exists()
+    assert (tmp_path / "piped" / "summary.json").exists()
+    command = "$SIMULATE --hours 1 --controller mpc --trajectory --output large"
+    done = run_in_shell(f"ulimit -f 100; {command}", tmp_path)
+    file = tmp_path / "large" / "trajectory.csv"
+    assert (done.returncode, done.stderr.splitlines()[-1]) == (1, f"error: {file}: File too large")
+    with pytest.raises(OSError, match=r"No such file or directory: '.*gone/summary.json'"):
+        summary.write({"status": "done"}, tmp_path / "gone")
 
 
 def test_runs_of_one_second(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -67,10 +67,8 @@ def test_the_first_rows_name_site_weather_and_period(command: str, tmp_path: Pat
     site, weather, third = table(*lines)[:3]
     assert site == ["site", "berlin.yaml", "52.52 N, 13.41 E"]
     assert weather[:2] == ["weather", "toronto_2021-07.csv"]
-    assert weather[2] == (
-        "43.63 N, 79.40 W; records from 2021-07-07T00:00-05:00 to 2021-07-10T00:00-05:00, the run "
-        "from 2021-07-07T02:00-05:00 to 2021-07-07T02:30-05:00"
-    )
+    for each in ("43.63 N, 79.40 W", "2021-07-07T02:00-05:00 to 2021-07-07T02:30-05:00"):
+        assert each in weather[2]
     assert third[0] == "from"
 
 
