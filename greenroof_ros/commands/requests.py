@@ -236,21 +236,14 @@ def _reset(client: GraphClient, arguments: argparse.Namespace, reports: Reports)
             client.receive()
         if node is not None and (fault := node.values.get("fault")):
             print(escape(f"The fault: {fault}"), file=sys.stderr)
-        if not _ask_to_confirm(arguments.role):
+        print(
+            f"The {arguments.role} may start moving as soon as the fault is cleared. Have you "
+            "remedied its cause, and made sure that no one is working on it? [y/N] ", end="",
+            flush=True,
+        )
+        if sys.stdin.readline().strip().lower() not in ("y", "yes"):
             raise RequestError("not cleared: the request was not confirmed")
     return client.request("reset", _PATIENCE_S, arguments.role)
-
-
-def _ask_to_confirm(role: str) -> bool:
-    """Ask for confirmation on the terminal; treat a missing answer as no."""
-    try:
-        return input(
-            f"The {role} may start moving as soon as the fault is cleared. Have you remedied its "
-            f"cause, and made sure that no one is working on the {role}? [y/N] "
-        ).strip().lower() in ("y", "yes")
-    except EOFError:
-        print(file=sys.stderr)
-        return False
 
 
 HOLD = Request("hold", _hold, _add_hold_options)
