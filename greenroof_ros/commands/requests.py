@@ -159,7 +159,7 @@ def _release(client: GraphClient, arguments: argparse.Namespace, _: Reports) -> 
 def _add_open_options(parser: Parser) -> None:
     parser.add_argument(
         "--for", dest="seconds", type=_parse_duration, required=True, metavar="TIME",
-        help="open the valve for this time, such as 30min or 2h",
+        help="length of the opening, such as 30min or 2h",
     )
 
 
@@ -176,10 +176,8 @@ def _open(client: GraphClient, arguments: argparse.Namespace, _: Reports) -> str
 
 
 def _add_dose_options(parser: Parser) -> None:
-    parser.add_argument(
-        "--litres", type=make_number_type(1.0, 1e9), required=True, metavar="L",
-        help="deliver this volume (litres)",
-    )
+    volume = make_number_type(1.0, 1e9)
+    parser.add_argument("--litres", type=volume, required=True, metavar="L", help="volume to pump")
 
 
 def _dose(client: GraphClient, arguments: argparse.Namespace, reports: Reports) -> str:
@@ -217,9 +215,7 @@ def _dose(client: GraphClient, arguments: argparse.Namespace, reports: Reports) 
 
 
 def _add_reset_options(parser: Parser) -> None:
-    parser.add_argument(
-        "--yes", action="store_true", help="do not ask for confirmation, for use in scripts"
-    )
+    parser.add_argument("--yes", action="store_true", help="do not ask, for use in scripts")
 
 
 def _reset(client: GraphClient, arguments: argparse.Namespace, reports: Reports) -> str:

@@ -281,18 +281,14 @@ def test_a_key_in_the_url_reaches_the_service_and_nothing_else(service, tmp_path
     assert "0815" not in (tmp_path / "out.csv").read_text() + done.stdout + done.stderr
 
 
-@pytest.mark.parametrize(("url", "reason"), [
-    ("archive-api.open-meteo.com/?apikey=s3cr3t", "url: must begin with http:// or https://"),
-    ("http://", "must begin with http:// or https:// and a server address in ASCII"),
-    ("http://[::1/?apikey=s3cr3t", "a server address in ASCII"),
-    ("http://host:99999/?apikey=s3cr3t", "a server address in ASCII"),
-    ("http://me:s3cr3t@host/", "a server address in ASCII"),
-    ("http://host/a b?apikey=s3cr3t", "a server address in ASCII"),
-    ("http://h\u00f6st/?apikey=s3cr3t", "a server address in ASCII"),
+@pytest.mark.parametrize("url", [
+    "archive-api.open-meteo.com/?apikey=s3cr3t", "http://", "http://[::1/?apikey=s3cr3t",
+    "http://host:99999/?apikey=s3cr3t", "http://me:s3cr3t@host/", "http://host/a b?apikey=s3cr3t",
+    "http://h\u00f6st/?apikey=s3cr3t",
 ])
-def test_a_url_that_cannot_be_is_refused_without_its_key(url, reason):
+def test_a_url_that_cannot_be_is_refused_without_its_key(url):
     told = refusal(open_meteo_archive, SITE, range(2020, 2021), TODAY, url)
-    assert reason in told and "s3cr3t" not in told
+    assert told.startswith("url: must begin with http://") and "s3cr3t" not in told
 
 
 def archive(service: WeatherService, years: range = range(2020, 2021)) -> Source:
@@ -305,26 +301,17 @@ def failure(service: WeatherService, directory: Path, source: Source) -> str:
     return str(caught.value)
 
 
-# All with the status 400. The words are those of Open-Meteo's source and pages, except for the key
-# and the timeout, which stand for other words of the same kinds.
+# All with the status 400, in the words of Open-Meteo's source and pages, except for the key and the
+# timeout, which stand for other words of the same kinds.
 REQUEST_ERRORS = (
     "Latitude must be in range of -90 to 90°. Given: 95.0.",
-    "Forecast days is invalid. Allowed range 0 to 16. Given 17.",
     "Invalid timezone",
     "End-date must be larger or equals than start-date",
-    "Parameter 'end_date' is out of allowed range from 1940-01-01 to 2026-11-30",
-    "Parameter 'past_days' is mutually exclusive with 'start_date' and 'end_date'",
-    "This API does not yet support timezones",
-    "Parameter 'latitude' and 'longitude' must not exceed 1000 coordinates.",
     "No data is available for this location",
     "Data corrupted at path ''. Cannot initialize ForecastVariable from invalid String value rain.",
     "The supplied API key is invalid.",
 )
-OWN_FAILURES = (
-    "Something went wrong.",
-    "Could not read reference weight file temperature_2m for domain era5",
-    "Timeout while reading value from disk",
-)
+OWN_FAILURES = "Something went wrong.", "Timeout while reading value from disk"
 
 
 @pytest.mark.parametrize(("fault", "requests", "reason"), [
