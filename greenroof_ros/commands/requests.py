@@ -177,7 +177,7 @@ def _open(client: GraphClient, arguments: argparse.Namespace, _: Reports) -> str
 
 def _add_dose_options(parser: Parser) -> None:
     volume = make_number_type(1.0, 1e9)
-    parser.add_argument("--litres", type=volume, required=True, metavar="L", help="volume to pump")
+    parser.add_argument("--litres", type=volume, required=True, metavar="L", help="volume (litres)")
 
 
 def _dose(client: GraphClient, arguments: argparse.Namespace, reports: Reports) -> str:
