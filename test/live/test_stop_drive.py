@@ -22,7 +22,7 @@ def test_a_drive_whose_program_has_died_is_stopped(tmp_path: Path) -> None:
         drive.run(1.0)
         drive.line.close()
         stopped = run_command(*command, bench.address, cwd=tmp_path, env=environment(0))
-        assert stopped.returncode == 0 and bench.speed() < 0.01
+        assert stopped.returncode == 0 and bench.speed() <= 0.02  # a standstill
     (nobody,) = free_ports(1)
     lost = run_command(*command, f"tcp://127.0.0.1:{nobody}", cwd=tmp_path, env=environment(0))
     assert (lost.returncode, lost.stdout[:23]) == (1, "THE PUMP MAY BE RUNNING")
