@@ -54,7 +54,6 @@ from greenroof_ros.controllers.registry import BUILT_IN, find_controller
 from greenroof_ros.interface.alarm import Alarm
 from greenroof_ros.interface.conditions import (
     LATCHED,
-    Condition,
     Interlock,
     read_conditions,
     read_interlocks,
@@ -482,10 +481,8 @@ _SUBJECTS = {
 }
 
 
-def _subject(code: str, condition: Condition) -> str:
+def _subject(code: str) -> str:
     """Return what a condition is about, as a heading."""
-    if condition.interlock is not None:
-        return next(iter(_SUBJECTS))
     return next(
         subject for subject, beginnings in _SUBJECTS.items()
         if code.startswith(tuple(beginnings.split()))
@@ -493,19 +490,12 @@ def _subject(code: str, condition: Condition) -> str:
 
 
 def conditions() -> str:
-    """Return each code that a status may have, by subject; those with the same advice share a row.
-
-    The meaning of an interlock is in the table of interlocks.
-    """
-    codes: dict[str, dict[tuple[str, str], list[str]]] = {subject: {} for subject in _SUBJECTS}
+    """Return each code that a status may have besides those of interlocks, by subject."""
+    codes: dict[str, list[tuple[str, str, str]]] = {subject: [] for subject in _SUBJECTS}
     for code, condition in read_conditions().items():
-        meaning = "" if condition.interlock is not None else condition.meaning
-        rows = codes[_subject(code, condition)]
-        rows.setdefault((meaning, condition.advise("/pump")), []).append(f"`{code}`")
-    return "\n".join(
-        f"### {subject}\n\n" + entries((", ".join(alike), *texts) for texts, alike in rows.items())
-        for subject, rows in codes.items()
-    )
+        if condition.interlock is None:
+            codes[_subject(code)].append((f"`{code}`", "", condition.meaning))
+    return "\n".join(f"### {subject}\n\n{entries(rows)}" for subject, rows in codes.items())
 
 
 def quantities() -> str:
@@ -582,97 +572,12 @@ def parser_of(name: str, arguments: Sequence[str] = ()) -> argparse.ArgumentPars
 def command_groups() -> str:
     """Return what each command of ``greenroof`` does, grouped by the user's purpose."""
     return "\n".join(
-        f"**{title[0].upper()}{title[1:]}**\n\n" + "".join(
-            f"- {_section(name)}: {cell(entry.about)}\n" for name, entry in group.items()
+        f"**{title[0].upper()}{title[1:]}**\n\n" + markdown(
+            ("command", "what it does"),
+            ((f"`{name}`", entry.about) for name, entry in group.items()),
         )
         for title, group in GROUPS.items()
     )
-
-
-def _section(name: str) -> str:
-    """Return a link to the description of a command."""
-    return f"[`{name}`](#{name.replace(' ', '-')})"
-
-
-def commands() -> str:
-    """Return every option of every command once; later commands refer to the first that has it."""
-    described: dict[tuple[str, str, str], str] = {}
-    return "\n".join(_command(name, parser_of(name), described) for name in COMMANDS)
-
-
-def _command(
-    name: str, parser: argparse.ArgumentParser, described: dict[tuple[str, str, str], str]
-) -> str:
-    parts = [f"## {name}\n", _prose(parser.description or "")]
-    positionals = " ".join(
-        str(action.metavar or action.dest) + (" ..." if action.nargs == "+" else "")
-        for action in parser._get_positional_actions()
-    )
-    if positionals:
-        parts.append(f"```text\ngreenroof {name} {positionals}\n```\n")
-    arguments, options, *others = parser._action_groups
-    groups = [(None, [*arguments._group_actions, *options._group_actions])]
-    groups += [(group, group._group_actions) for group in others]
-    for group, members in groups:
-        actions = [each for each in members if not isinstance(each, argparse._HelpAction)]
-        if not actions:
-            continue
-        if group is not None:
-            title = cell(str(group.title).capitalize())
-            about = f"**{title}.** {cell(group.description or '')}"
-            parts.append(f"{about.rstrip()}\n")
-        rows = []
-        elsewhere: dict[str, list[str]] = {}
-        for action in actions:
-            option = ", ".join(f"`{text}`" for text in action.option_strings)
-            row = (
-                option or f"`{action.metavar or action.dest}`", _value(action) if option else "",
-                parser._get_formatter()._expand_help(action),
-            )
-            command = described.setdefault(row, name)
-            if command == name:
-                rows.append(row)
-            else:
-                elsewhere.setdefault(command, []).append(option)
-        if rows:
-            parts.append(entries(rows))
-        parts += [
-            f"Also, as for {_section(command)}: {', '.join(same)}.\n"
-            for command, same in elsewhere.items()
-        ]
-    return "\n".join(parts)
-
-
-def _prose(text: str) -> str:
-    """Return a command's description: its paragraphs, and its indented lines as code."""
-    parts = []
-    for indented, lines in itertools.groupby(
-        text.strip().splitlines(), lambda line: line.startswith("  ") if line.strip() else None
-    ):
-        if indented is None:
-            continue
-        if indented:
-            parts.append("\n".join(["```text", *map(str.strip, lines), "```\n"]))
-        else:
-            parts.append(f"{cell(' '.join(lines))}\n")
-    return "\n".join(parts)
-
-
-def _value(action: argparse.Action) -> str:
-    """Return the values that an option takes."""
-    if action.nargs == 0:
-        return ""
-    if action.choices is not None and action.metavar is None:
-        return ", ".join(map(str, action.choices))
-    kind = getattr(action.type, "__name__", "")
-    text = f"`{action.metavar or action.dest.upper()}`"
-    text += " ..." if action.nargs in ("+", "*") else ""
-    if text.startswith("`{"):  # a choice, which breaks between its values
-        text = ", ".join(f"`{each}`" for each in re.findall(r"[^{},|`]+", text))
-    unit = text if str(action.metavar).startswith("[") else ""
-    if kind in ("", "Path", "str") or kind.startswith("_"):
-        return text
-    return f"{kind} {unit}".strip()
 
 
 # --- nodes ----------------------------------------------------------------------------------------
@@ -752,7 +657,6 @@ TABLES: dict[str, Callable[[], str | None]] = {
     "description": description,
     "plausible": plausible,
     "alarm": alarm,
-    "commands": commands,
     "command groups": command_groups,
     "nodes": nodes,
     "drive file": drive_files,

@@ -71,7 +71,7 @@ GROUPS = {
         "bound": Command("bound", "compute the minimum possible deviation"),
     },
     "adapt the model to your site": {
-        "new-site": Command("new_site", "write a site file from a few answers"),
+        "new-site": Command("new_site", "write a site file from a few numbers"),
         "size": Command("size", "choose a cistern, a target and an outlet over all seasons"),
         "calibrate": Command("calibrate", "fit the roof and its pumps to measurements"),
         "fetch-weather": Command("fetch_weather", "download years of weather from the internet"),
