@@ -158,7 +158,7 @@ def compare(sizes: object, weather: dict[str, pd.DataFrame], target: float) -> p
 def main() -> None:
     """Print the comparison for a site's cisterns over the complete seasons of a record."""
     import greenroof_ros as gr
-    from greenroof_ros.analysis.api.arguments import read_weather
+    from greenroof_ros.api.arguments import read_weather
 
     site = gr.read_site(sys.argv[1])
     options = {"site": site, "weather": sys.argv[2:], "gaps": "fill"}

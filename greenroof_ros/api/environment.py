@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from greenroof_ros.analysis.api.arguments import build_run
-from greenroof_ros.analysis.api.commanded import CommandedSites, Surroundings
-from greenroof_ros.analysis.api.control import (
+from greenroof_ros.api.arguments import build_run
+from greenroof_ros.api.commanded import CommandedSites, Surroundings
+from greenroof_ros.api.control import (
     ForecastSteps,
     FunctionController,
     SiteState,

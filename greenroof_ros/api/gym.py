@@ -6,7 +6,7 @@ With the prefix ``greenroof_ros.gym:``, any process can find the environment:
 
     environment = gymnasium.make("greenroof_ros.gym:GreenRoof-v1")
 
-:mod:`greenroof_ros.analysis.api.vector` steps many of them at once.
+:mod:`greenroof_ros.api.vector` steps many of them at once.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from greenroof_ros.analysis.api.arguments import read_weather
-from greenroof_ros.analysis.api.control import FunctionController, SiteState
-from greenroof_ros.analysis.api.environment import Environment
-from greenroof_ros.analysis.api.starts import Starts
+from greenroof_ros.api.arguments import read_weather
+from greenroof_ros.api.control import FunctionController, SiteState
+from greenroof_ros.api.environment import Environment
+from greenroof_ros.api.starts import Starts
 from greenroof_ros.base.errors import ConfigurationError, require_extra, suggest_names
 from greenroof_ros.base.ranges import Range
 from greenroof_ros.controllers.registry import choose_class

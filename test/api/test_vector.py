@@ -175,5 +175,5 @@ def test_refused_inputs() -> None:
 
 
 def test_example() -> None:
-    vector = importlib.import_module("greenroof_ros.analysis.api.vector")
+    vector = importlib.import_module("greenroof_ros.api.vector")
     assert doctest.testmod(vector).failed == 0

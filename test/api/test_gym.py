@@ -23,7 +23,7 @@ from greenroof_ros.base.errors import ConfigurationError
 gymnasium = pytest.importorskip("gymnasium", reason="gymnasium is not installed")
 
 
-RECORD = Path(__file__).parents[2] / "data" / "en_climate_hourly_07-2021.csv"
+RECORD = Path(__file__).parents[1] / "data" / "en_climate_hourly_07-2021.csv"
 ID = "greenroof_ros.gym:GreenRoof-v1"
 
 
@@ -259,4 +259,4 @@ def test_seeds_draw_the_errors_of_forecasts() -> None:
 
 
 def test_example() -> None:
-    assert doctest.testmod(import_module("greenroof_ros.analysis.api.gym")).failed == 0
+    assert doctest.testmod(import_module("greenroof_ros.api.gym")).failed == 0

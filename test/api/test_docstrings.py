@@ -9,7 +9,7 @@ import pkgutil
 import pytest
 
 import greenroof_ros as gr
-from greenroof_ros.analysis import api
+from greenroof_ros import api
 
 # Not those that need Gymnasium: test_gym.py has their examples.
 MODULES = [

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from greenroof_ros.analysis.api.arguments import PathText, build_run
-from greenroof_ros.analysis.api.control import (
+from greenroof_ros.api.arguments import PathText, build_run
+from greenroof_ros.api.control import (
     Function,
     FunctionController,
     choose_controller,

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from greenroof_ros.analysis.api.control import FunctionController
+from greenroof_ros.api.control import FunctionController
 from greenroof_ros.base.files import default_site_file
 from greenroof_ros.controllers.registry import ControllerChoice, choose_class
 from greenroof_ros.simulation.inputs import make_inputs

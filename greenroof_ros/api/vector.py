@@ -20,8 +20,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from greenroof_ros.analysis.api.commanded import CommandedSites, Surroundings, Values, follow
-from greenroof_ros.analysis.api.gym import RANDOM, GreenRoofEnv, read_actions
+from greenroof_ros.api.commanded import CommandedSites, Surroundings, Values, follow
+from greenroof_ros.api.gym import RANDOM, GreenRoofEnv, read_actions
 from greenroof_ros.base.errors import ConfigurationError, require_extra
 from greenroof_ros.base.processes import count_cores
 from greenroof_ros.forecast.choice import PERFECT
