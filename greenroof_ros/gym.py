@@ -11,4 +11,4 @@ with require_extra("gym"):
 _API = "greenroof_ros.api"
 
 gymnasium.register("GreenRoof-v1", f"{_API}.gym:GreenRoofEnv")
-gymnasium.register("GreenRoofVector-v1", vector_entry_point=f"{_API}.vector:GreenRoofVectorEnv")
+gymnasium.register("GreenRoofVector-v1", vector_entry_point=f"{_API}.gym:GreenRoofVectorEnv")

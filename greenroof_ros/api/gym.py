@@ -1,55 +1,66 @@
-"""The environment ``GreenRoof-v1`` for Gymnasium, the interface for reinforcement learning.
+"""The environments for Gymnasium: ``GreenRoof-v1``, and ``GreenRoofVector-v1`` for many at once.
 
-With the prefix ``greenroof_ros.gym:``, any process can find the environment:
+With the prefix ``greenroof_ros.gym:``, any process can find them:
 
     import gymnasium
 
     environment = gymnasium.make("greenroof_ros.gym:GreenRoof-v1")
-
-:mod:`greenroof_ros.api.vector` steps many of them at once.
+    environments = gymnasium.make_vec("greenroof_ros.gym:GreenRoofVector-v1", num_envs=1000)
 """
 
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Mapping
-from functools import cached_property
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
+from datetime import timedelta
 from operator import attrgetter
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from greenroof_ros.api.arguments import read_weather
+from greenroof_ros.api.arguments import build_run, read_weather
 from greenroof_ros.api.control import FunctionController, SiteState
-from greenroof_ros.api.environment import Environment
-from greenroof_ros.api.starts import Starts
+from greenroof_ros.api.environment import Environment, foresee, restart
+from greenroof_ros.api.roofs import Roofs
 from greenroof_ros.base.errors import ConfigurationError, require_extra, suggest_names
+from greenroof_ros.base.processes import count_cores
 from greenroof_ros.base.ranges import Range
 from greenroof_ros.controllers.registry import choose_class
 from greenroof_ros.physics.compiled import can_compile
-from greenroof_ros.physics.storm_water import HOUR_S
+from greenroof_ros.results.metrics import METRICS
 from greenroof_ros.simulation.loop import Tick
+from greenroof_ros.simulation.run import Run
+from greenroof_ros.weather.records import HOUR
 
 with require_extra("gym"):
     import gymnasium
+    from gymnasium.error import ResetNeeded
     from gymnasium.spaces import Box
+    from gymnasium.utils.seeding import np_random
+    from gymnasium.vector import AutoresetMode, VectorEnv
+    from gymnasium.vector.utils import batch_space
 
 Values = NDArray[np.float32]
+Flags = NDArray[np.bool_]
 
 _TO_MM_PER_H = 3.6e6
 # What becomes 1 in an observation: rain (mm/h) and evapotranspiration (mm/day), both rarely
 # exceeded; higher values are 1, too.
 _MAX_RAIN, _MAX_EVAPOTRANSPIRATION = 50.0, 12.0
 _TICKS = Range(1, 1e9, whole=True)
-RANDOM = "random"
-"""a start or an initial state that every episode draws"""
+_RANDOM, _MAX_DRAWS = "random", 100
+# Fewer sites than this are not worth another thread.
+_MIN_SITES = 64
 
 
 class _Roof(Environment):
     """The environment of an episode; one of many, for which it pays to compile the ticks."""
 
-    _pays_to_compile = staticmethod(lambda ticks: can_compile())
+    def __init__(self, run: Run) -> None:
+        self._begin(run, can_compile())
 
 
 def minus_deviation(tick: Tick, state: SiteState) -> float:
@@ -104,9 +115,7 @@ class GreenRoofEnv(gymnasium.Env[Values, Values]):
       run, under their names in ``summary.json``.
     - Random numbers, seeded by ``reset(seed=...)``: with ``forecast="errors"`` or ``"ensemble"``,
       they determine the forecast errors. With ``start="random"``, they determine the start, which
-      is on a full hour covered by the weather. With ``initial="random"``, they determine the
-      volumes, which are uniformly distributed: in the cistern up to the level of its outlet, and on
-      the roof up to twice the target or up to the soil's capacity, whichever is less.
+      is on a full hour from which weather and forecasts cover an episode.
 
     Example:
         >>> import gymnasium
@@ -137,8 +146,8 @@ class GreenRoofEnv(gymnasium.Env[Values, Values]):
             decision_ticks: number of ticks for which an action applies; the last action may be cut
                 short by the end of the window.
             render_mode: None, the only mode.
-            inputs: site, weather, start, hours, forecast, horizon (h) and others; start and initial
-                can also be ``"random"``.
+            inputs: site, weather, start, hours, forecast, horizon (h) and others; start can also
+                be ``"random"``.
 
         Raises:
             ConfigurationError: if an input is invalid.
@@ -151,16 +160,14 @@ class GreenRoofEnv(gymnasium.Env[Values, Values]):
                 )
         self.render_mode, self._reward = render_mode, reward
         self._decision_ticks = int(_TICKS.read(decision_ticks, key="decision_ticks"))
-        self._places = {key: inputs.get(key) for key in ("start", "initial")}
-        self._inputs = {
-            key: value for key, value in inputs.items() if self._places.get(key) != RANDOM
-        }
-        self._begun: dict[str, Any] = {}
-        if self._places["start"] == RANDOM:  # until the first one is drawn
-            self._inputs["weather"] = read_weather(self._inputs)
-            self._inputs["start"] = self._inputs["weather"].first
-        self._roof = self._make_roof({})
-        self._inputs["weather"] = self._roof._run.weather
+        self._is_random, self._inputs = inputs.get("start") == _RANDOM, inputs
+        if self._is_random:  # until the first one is drawn
+            weather = read_weather({**inputs, "start": None})
+            self._inputs = {**inputs, "weather": weather, "start": weather.first}
+        self._warned: set[str] = set()
+        self._own = self._build({})
+        self._inputs["weather"] = self._own.weather
+        self._roof = _Roof(self._own)
         self.site = self._roof.site
         self.ends: NDArray[np.float64] = self._roof.forecast.ends
         steps = len(self.ends) - 1
@@ -190,13 +197,10 @@ class GreenRoofEnv(gymnasium.Env[Values, Values]):
             ConfigurationError: if an option is unknown, or its value is invalid.
         """
         super().reset(seed=seed)
-        begin, seed_of_forecasts = self._draw(self.np_random, self._read_options(options))
-        if begin != self._begun:
-            self._roof, self._begun = self._make_roof(begin), begin
-        self._roof.reset(seed_of_forecasts)
-        return self._observe(), {
-            "start": self._roof.state.time.isoformat(), "cistern_m3": self._roof.state.cistern,
-            "roof_m3": self._roof.state.roof,
+        self._roof = _Roof(*self._draw([self.np_random], options))
+        state = self._roof.state
+        return self._observe(self._roof._roofs)[0], {
+            "start": state.time.isoformat(), "cistern_m3": state.cistern, "roof_m3": state.roof,
         }
 
     def step(self, action: Values) -> tuple[Values, float, bool, bool, dict[str, Any]]:
@@ -215,53 +219,208 @@ class GreenRoofEnv(gymnasium.Env[Values, Values]):
                 tick = roof.step(command, *outlet)
                 reward += self._reward(tick, roof.state)
         else:
-            reward = roof._follow(command, self._decision_ticks, *outlet)
+            opening = outlet or [1.0]
+            reward = float(roof._roofs.follow([command], opening, self._decision_ticks)[0])
         info = {"metrics": roof.metrics} if roof.done else {}
-        return self._observe(), reward, False, roof.done, info
+        return self._observe(roof._roofs)[0], reward, False, roof.done, info
 
-    def _observe(self) -> Values:
-        state, forecast = self._roof.state, self._roof.forecast
-        values = np.concatenate((
-            (state.cistern_level, state.roof_level), forecast.rain, forecast.evapotranspiration
-        ))
-        values /= self._scale
+    def _observe(self, roofs: Roofs) -> Values:
+        """Return the observations of roofs, shape (n, entries)."""
+        forecasts = np.array([np.concatenate(foresee(run, roofs.tick)) for run in roofs.runs])
+        values = np.hstack((roofs.levels, forecasts[roofs.run_of])) / self._scale
         if self._has_valve:
-            wet_after = self.site.wet_after * HOUR_S
-            left = max(0.0, wet_after - float(self._roof._sites.without_rain[0]))  # s
-            values = np.append(values, left / wet_after if left > 0 else 0.0)
+            values = np.column_stack((values, roofs.wet_left))
         return np.asarray(np.clip(values, 0.0, 1.0), np.float32)
 
-    @cached_property
-    def _starts(self) -> Starts:
-        """The starts of random episodes."""
-        return Starts(self._roof._run)
-
-    def _read_options(self, options: Mapping[str, Any] | None) -> dict[str, Any]:
-        """Return the start and the initial state of an episode, or how they are drawn.
-
-        Raises:
-            ConfigurationError: if an option is unknown.
-        """
-        for key in options or {}:
-            if key not in self._places:
-                raise ConfigurationError(
-                    f"is not an option of reset; {suggest_names(key, self._places)}", key=key
-                )
-        return {**self._places, **(options or {})}
+    def _build(self, options: Mapping[str, Any]) -> Run:
+        inputs = {**self._inputs, **options}
+        return build_run(choose_class(FunctionController), inputs, self._warned)
 
     def _draw(
-        self, random: np.random.Generator, places: Mapping[str, Any]
-    ) -> tuple[dict[str, Any], int]:
-        """Draw an episode: the inputs that differ from other episodes, and the forecasts' seed."""
-        begin = {key: value for key, value in places.items() if value is not None}
-        if places["start"] == RANDOM:
-            begin["start"] = self._starts.draw(random)
-        if places["initial"] == RANDOM:
-            site = self.site
-            high = site.cistern_volume(site.z_o), min(site.z_cap, 2.0 * site.x2_star)
-            begin["initial"] = tuple(float(random.uniform(0.0, top)) for top in high)
-        return begin, int(random.integers(2**31))
+        self, randoms: Sequence[np.random.Generator], options: Mapping[str, Any] | None
+    ) -> list[Run]:
+        """Draw an episode with each of some random number generators.
 
-    def _make_roof(self, begin: Mapping[str, Any]) -> _Roof:
-        """Return an environment; all environments share the weather that the first of them read."""
-        return _Roof(**{**self._inputs, **begin})
+        Raises:
+            ConfigurationError: if an option of :meth:`reset` is invalid, or if the record is too
+                short or contains too many missing hours.
+        """
+        known = "start", "initial"
+        given = {key: value for key, value in (options or {}).items() if value is not None}
+        for key in given:
+            if key not in known:
+                raise ConfigurationError(
+                    f"is not an option of reset; {suggest_names(key, known)}", key=key
+                )
+        is_random = self._is_random
+        if "start" in given:
+            is_random = isinstance(given["start"], str) and given["start"] == _RANDOM
+            if is_random:
+                del given["start"]
+        run = self._build(given) if given else self._own
+        if is_random:
+            return [_draw_start(run, random) for random in randoms]
+        return [restart(run, run.start, _draw_seed(random)) for random in randoms]
+
+
+def _draw_seed(random: np.random.Generator) -> int:
+    return int(random.integers(2**31))
+
+
+def _draw_start(run: Run, random: np.random.Generator) -> Run:
+    """Draw a full hour from which on weather and forecasts cover a run, and the forecasts' seed."""
+    record, ticks = run.weather.end - run.weather.first, run.steps + run.site.M
+    count = (record - timedelta(seconds=ticks * run.site.tau)) // HOUR + 1
+    if count < 1:
+        raise ConfigurationError("is shorter than an episode", key="weather")
+    for _ in range(_MAX_DRAWS):
+        start = run.weather.first + int(random.integers(count)) * HOUR
+        with suppress(ConfigurationError):
+            return restart(run, start, _draw_seed(random))
+    raise ConfigurationError(
+        f"{_MAX_DRAWS} randomly drawn episodes all contained missing hours; gaps='fill' fills "
+        "missing hours", key="weather",
+    )
+
+
+class GreenRoofVectorEnv(VectorEnv[Values, Values, NDArray[Any]]):
+    """A Gymnasium vector environment of green roofs, which threads step at once.
+
+    Environment i equals a ``GreenRoof-v1`` that is seeded with the i-th seed, bit for bit: its
+    observations, actions, rewards and ``info`` are those that :class:`.GreenRoofEnv` describes,
+    with the default reward. All episodes have the same length, and end in the same step. In the
+    next step, the actions are ignored and all environments are reset
+    (``AutoresetMode.NEXT_STEP``).
+
+    Ticks and rewards are compiled with numba. With ``errors`` or ``ensemble``, every roof has
+    forecasts of its own, and drawing them takes most of the time.
+
+    Example:
+        >>> import gymnasium
+        >>> roofs = gymnasium.make_vec(
+        ...     "greenroof_ros.gym:GreenRoofVector-v1", num_envs=3, hours=1, decision_ticks=900
+        ... )
+        >>> observations, infos = roofs.reset(seed=1)
+        >>> observations, rewards, _, truncated, infos = roofs.step(roofs.action_space.sample())
+        >>> observations.shape == roofs.observation_space.shape, truncated.tolist()
+        (True, [False, False, False])
+
+    Attributes:
+        site: parameters of the sites.
+        ends: boundaries of the forecasts' steps (s from now), starting at 0, shape (steps + 1,).
+    """
+
+    metadata: dict[str, Any] = {  # noqa: RUF012 (as the base class has it)
+        "render_modes": [], "autoreset_mode": AutoresetMode.NEXT_STEP,
+    }
+
+    def __init__(
+        self, num_envs: int = 1, *, decision_ticks: int = 1, render_mode: str | None = None,
+        **inputs: Any,
+    ) -> None:
+        """Create the environments from the inputs of :class:`.GreenRoofEnv`.
+
+        Args:
+            num_envs: number of environments.
+            decision_ticks: number of ticks for which an action applies.
+            render_mode: None, the only mode.
+            inputs: as for :class:`.GreenRoofEnv`, but without a reward.
+
+        Raises:
+            ConfigurationError: if an input is invalid.
+        """
+        if "reward" in inputs:
+            raise ConfigurationError(
+                "is that of GreenRoof-v1 by default; make_vec of GreenRoof-v1 takes a function",
+                key="reward",
+            )
+        self._single = single = GreenRoofEnv(decision_ticks=decision_ticks, **inputs)
+        self.num_envs, self.render_mode = num_envs, render_mode
+        self.site, self.ends = single.site, single.ends
+        self.single_observation_space = single.observation_space
+        self.single_action_space = single.action_space
+        self.observation_space = batch_space(single.observation_space, num_envs)
+        self.action_space = batch_space(single.action_space, num_envs)
+        self._randoms = [np_random()[0] for _ in range(num_envs)]
+        self._roofs: Roofs | None = None
+        self._threads = max(1, min(count_cores(), num_envs // _MIN_SITES))
+        self._pool = ThreadPoolExecutor(self._threads)
+
+    def reset(
+        self, *, seed: int | Sequence[int | None] | None = None,
+        options: Mapping[str, Any] | None = None,
+    ) -> tuple[Values, dict[str, Any]]:
+        """Begin an episode of every environment.
+
+        Args:
+            seed: seed of the first environment, to which their numbers are added for the others; or
+                the seeds of all. With None, an environment goes on with its random numbers.
+            options: as for :meth:`.GreenRoofEnv.reset`; they apply to all environments.
+
+        Returns:
+            The observations, and the ``info`` of all environments as arrays.
+
+        Raises:
+            ConfigurationError: if an option or the number of seeds is invalid.
+        """
+        count = self.num_envs
+        seeds = [None] * count if seed is None else seed
+        if isinstance(seeds, (int, np.integer)):
+            seeds = [int(seeds) + number for number in range(count)]
+        if len(seeds) != count:
+            raise ConfigurationError(f"must be one number, or {count} numbers", key="seed")
+        for row, own in enumerate(seeds):
+            if own is not None:
+                self._randoms[row] = np_random(own)[0]
+        runs = self._single._draw(self._randoms, options)
+        self._roofs = roofs = Roofs(runs, can_compile(), self._threads)
+        return self._single._observe(roofs), self._describe({
+            "start": np.array([run.start.isoformat() for run in runs], object),
+            "cistern_m3": roofs.levels[:, 0] * self.site.a1,
+            "roof_m3": roofs.levels[:, 1] * self.site.a2,
+        })
+
+    def step(
+        self, actions: Values
+    ) -> tuple[Values, NDArray[np.float64], Flags, Flags, dict[str, Any]]:
+        """Apply an action of each environment, or reset all of them after the end of an episode.
+
+        Raises:
+            ConfigurationError: if an action is not one number from 0 to 1 (two numbers at sites
+                with a valve).
+            gymnasium.error.ResetNeeded: if the environments have not been reset yet.
+        """
+        count, roofs = self.num_envs, self._roofs
+        if roofs is None:
+            raise ResetNeeded("call reset() before step()")
+        never, steps = np.zeros(count, np.bool_), roofs.runs[0].steps
+        if roofs.tick == steps:
+            observations, infos = self.reset()
+            return observations, np.zeros(count), never, never.copy(), infos
+        commands = read_actions(actions, (count, 1 + self.site.low_outlet_valve))
+        outlets = commands[:, 1] if self.site.low_outlet_valve else np.ones(count)
+        rewards = roofs.follow(
+            commands[:, 0].tolist(), outlets.tolist(), self._single._decision_ticks,
+            self._pool.map,
+        )
+        ended = roofs.tick == steps
+        infos = self._describe_metrics(roofs.metrics()) if ended else {}
+        return self._single._observe(roofs), rewards, never, np.full(count, ended), infos
+
+    def close_extras(self, **_: Any) -> None:
+        """End the threads."""
+        self._pool.shutdown()
+
+    def _describe_metrics(self, rows: Sequence[Mapping[str, float]]) -> dict[str, Any]:
+        """Return the ``info`` of the last step, in which some sites may lack a metric."""
+        metrics = {}
+        for name in (metric.name for metric in METRICS):
+            known = np.array([name in row for row in rows])
+            if known.any():
+                metrics[name] = np.array([row.get(name, 0) for row in rows])
+                metrics[f"_{name}"] = known
+        return self._describe({"metrics": metrics})
+
+    def _describe(self, infos: dict[str, Any]) -> dict[str, Any]:
+        """Return infos together with masks of the environments that have them, which are all."""
+        return infos | {f"_{name}": np.ones(self.num_envs, np.bool_) for name in infos}
