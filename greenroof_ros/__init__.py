@@ -9,11 +9,10 @@ TYPE_CHECKING = False  # typing's, whose import takes longer than all else here
 if TYPE_CHECKING:
     from typing import Any
 
-    from greenroof_ros.api.arguments import read_site
     from greenroof_ros.api.district import district
     from greenroof_ros.api.environment import Environment
     from greenroof_ros.api.scenarios import scenarios, score
-    from greenroof_ros.api.simulate import Result, compare, read_bag, simulate
+    from greenroof_ros.api.simulate import Result, compare, read_bag, read_site, simulate
     from greenroof_ros.api.size import size
 
 __version__ = "1.0.0"
@@ -26,7 +25,7 @@ __all__ = [
 # The module of each of these names in api.
 _MODULES = {
     "Environment": "environment", "Result": "simulate", "compare": "simulate",
-    "district": "district", "read_bag": "simulate", "read_site": "arguments",
+    "district": "district", "read_bag": "simulate", "read_site": "simulate",
     "scenarios": "scenarios", "score": "scenarios", "simulate": "simulate", "size": "size",
 }
 

@@ -11,14 +11,14 @@ from typing import Any
 
 import numpy as np
 
-from greenroof_ros.api.arguments import build_run
-from greenroof_ros.api.control import (
+from greenroof_ros.api.roofs import Roofs
+from greenroof_ros.api.simulate import (
     ForecastSteps,
     FunctionController,
     SiteState,
+    build_run,
     read_number,
 )
-from greenroof_ros.api.roofs import Roofs
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.controllers.outlet import SHARE
 from greenroof_ros.controllers.registry import choose_class

@@ -11,7 +11,7 @@ With the prefix ``greenroof_ros.gym:``, any process can find them:
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from datetime import timedelta
@@ -21,16 +21,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from greenroof_ros.api.arguments import build_run, read_weather
-from greenroof_ros.api.control import FunctionController, SiteState
 from greenroof_ros.api.environment import Environment, foresee, restart
 from greenroof_ros.api.roofs import Roofs
+from greenroof_ros.api.simulate import FunctionController, SiteState, build_run
 from greenroof_ros.base.errors import ConfigurationError, require_extra, suggest_names
 from greenroof_ros.base.processes import count_cores
 from greenroof_ros.base.ranges import Range
 from greenroof_ros.controllers.registry import choose_class
 from greenroof_ros.physics.compiled import can_compile
-from greenroof_ros.results.metrics import METRICS
+from greenroof_ros.simulation.inputs import make_inputs
 from greenroof_ros.simulation.loop import Tick
 from greenroof_ros.simulation.run import Run
 from greenroof_ros.weather.records import HOUR
@@ -83,11 +82,7 @@ def read_actions(actions: Any, shape: tuple[int, ...]) -> NDArray[np.float64]:
         commands.shape == shape and np.issubdtype(commands.dtype, np.number)
         and not np.iscomplexobj(commands) and ((commands >= 0) & (commands <= 1)).all()
     ):
-        numbers = "two numbers" if shape[-1] == 2 else "one number"
-        what = f"must be {numbers} from 0 to 1"
-        if len(shape) > 1:
-            raise ConfigurationError(f"{what} for each site, of shape {shape}", key="action")
-        raise ConfigurationError(f"{what}, of shape {shape}", key="action", value=actions)
+        raise ConfigurationError(f"must be numbers from 0 to 1, of shape {shape}", key="action")
     return commands.astype(np.float64)
 
 
@@ -162,7 +157,8 @@ class GreenRoofEnv(gymnasium.Env[Values, Values]):
         self._decision_ticks = int(_TICKS.read(decision_ticks, key="decision_ticks"))
         self._is_random, self._inputs = inputs.get("start") == _RANDOM, inputs
         if self._is_random:  # until the first one is drawn
-            weather = read_weather({**inputs, "start": None})
+            known = make_inputs(choose_class(FunctionController), {**inputs, "start": None})
+            weather, _ = known.read_records(known.read_site())
             self._inputs = {**inputs, "weather": weather, "start": weather.first}
         self._warned: set[str] = set()
         self._own = self._build({})
@@ -198,10 +194,8 @@ class GreenRoofEnv(gymnasium.Env[Values, Values]):
         """
         super().reset(seed=seed)
         self._roof = _Roof(*self._draw([self.np_random], options))
-        state = self._roof.state
-        return self._observe(self._roof._roofs)[0], {
-            "start": state.time.isoformat(), "cistern_m3": state.cistern, "roof_m3": state.roof,
-        }
+        (info,) = _describe_starts(self._roof._roofs)
+        return self._observe(self._roof._roofs)[0], info
 
     def step(self, action: Values) -> tuple[Values, float, bool, bool, dict[str, Any]]:
         """Apply an action during the ticks of one step.
@@ -261,6 +255,16 @@ class GreenRoofEnv(gymnasium.Env[Values, Values]):
         if is_random:
             return [_draw_start(run, random) for random in randoms]
         return [restart(run, run.start, _draw_seed(random)) for random in randoms]
+
+
+def _describe_starts(roofs: Roofs) -> Iterator[dict[str, Any]]:
+    """Yield the ``info`` of the beginning of each episode."""
+    for place, (cistern, roof) in zip(roofs.run_of, roofs.levels.tolist(), strict=True):
+        run = roofs.runs[place]
+        yield {
+            "start": run.start.isoformat(), "cistern_m3": run.site.cistern_volume(cistern),
+            "roof_m3": run.site.roof_volume(roof),
+        }
 
 
 def _draw_seed(random: np.random.Generator) -> int:
@@ -364,21 +368,18 @@ class GreenRoofVectorEnv(VectorEnv[Values, Values, NDArray[Any]]):
             ConfigurationError: if an option or the number of seeds is invalid.
         """
         count = self.num_envs
+        if isinstance(seed, (int, np.integer)):
+            seed = range(int(seed), int(seed) + count)
         seeds = [None] * count if seed is None else seed
-        if isinstance(seeds, (int, np.integer)):
-            seeds = [int(seeds) + number for number in range(count)]
         if len(seeds) != count:
             raise ConfigurationError(f"must be one number, or {count} numbers", key="seed")
-        for row, own in enumerate(seeds):
-            if own is not None:
-                self._randoms[row] = np_random(own)[0]
+        self._randoms = [
+            random if own is None else np_random(own)[0]
+            for own, random in zip(seeds, self._randoms, strict=True)
+        ]
         runs = self._single._draw(self._randoms, options)
         self._roofs = roofs = Roofs(runs, can_compile(), self._threads)
-        return self._single._observe(roofs), self._describe({
-            "start": np.array([run.start.isoformat() for run in runs], object),
-            "cistern_m3": roofs.levels[:, 0] * self.site.a1,
-            "roof_m3": roofs.levels[:, 1] * self.site.a2,
-        })
+        return self._single._observe(roofs), self._collect(_describe_starts(roofs))
 
     def step(
         self, actions: Values
@@ -404,23 +405,16 @@ class GreenRoofVectorEnv(VectorEnv[Values, Values, NDArray[Any]]):
             self._pool.map,
         )
         ended = roofs.tick == steps
-        infos = self._describe_metrics(roofs.metrics()) if ended else {}
+        infos = self._collect({"metrics": each} for each in roofs.metrics() if ended)
         return self._single._observe(roofs), rewards, never, np.full(count, ended), infos
 
     def close_extras(self, **_: Any) -> None:
         """End the threads."""
         self._pool.shutdown()
 
-    def _describe_metrics(self, rows: Sequence[Mapping[str, float]]) -> dict[str, Any]:
-        """Return the ``info`` of the last step, in which some sites may lack a metric."""
-        metrics = {}
-        for name in (metric.name for metric in METRICS):
-            known = np.array([name in row for row in rows])
-            if known.any():
-                metrics[name] = np.array([row.get(name, 0) for row in rows])
-                metrics[f"_{name}"] = known
-        return self._describe({"metrics": metrics})
-
-    def _describe(self, infos: dict[str, Any]) -> dict[str, Any]:
-        """Return infos together with masks of the environments that have them, which are all."""
-        return infos | {f"_{name}": np.ones(self.num_envs, np.bool_) for name in infos}
+    def _collect(self, infos: Iterable[dict[str, Any]]) -> dict[str, Any]:
+        """Return the ``info`` of every environment as arrays, as Gymnasium's own vectors do."""
+        arrays: dict[str, Any] = {}
+        for row, info in enumerate(infos):
+            arrays = self._add_info(arrays, info, row)
+        return arrays

@@ -28,7 +28,7 @@ from refusals import refusal
 
 import greenroof_ros as gr
 from greenroof_ros.analysis.report.sources import find_runs
-from greenroof_ros.api.control import ForecastSteps, SiteState
+from greenroof_ros.api.simulate import ForecastSteps, SiteState
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.controllers.anticipating_onoff import AnticipatingOnOff
 from greenroof_ros.controllers.lookahead import Lookahead

@@ -156,9 +156,7 @@ def test_refused_actions(actions: Any) -> None:
     with pytest.raises(gymnasium.error.ResetNeeded):
         roofs.step(np.zeros((3, 1)))
     roofs.reset(seed=1)
-    refusal(roofs.step, np.array(actions), match=(
-        r"action: must be one number from 0 to 1 for each site, of shape \(3, 1\)"
-    ))
+    refusal(roofs.step, np.array(actions), match=r"action: .*of shape \(3, 1\)")
     others = gymnasium.make_vec(ID, num_envs=3, hours=1)  # a refused action changes nothing
     others.reset(seed=1)
     ours, theirs = (each.step(np.full((3, 1), 0.5))[0] for each in (roofs, others))
