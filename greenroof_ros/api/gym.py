@@ -405,7 +405,7 @@ class GreenRoofVectorEnv(VectorEnv[Values, Values, NDArray[Any]]):
             self._pool.map,
         )
         ended = roofs.tick == steps
-        infos = self._collect({"metrics": each} for each in roofs.metrics() if ended)
+        infos = self._collect({"metrics": each} for each in (roofs.metrics() if ended else []))
         return self._single._observe(roofs), rewards, never, np.full(count, ended), infos
 
     def close_extras(self, **_: Any) -> None:
