@@ -19,7 +19,7 @@ from greenroof_ros.results.metrics import end_run, find_new_days
 from greenroof_ros.results.sums import count_places
 from greenroof_ros.simulation.loop import Tick
 from greenroof_ros.simulation.run import Run
-from greenroof_ros.simulation.season import KEPT, Control, Sites, Ticks, run_ticks
+from greenroof_ros.simulation.season import ALL_KEPT, Control, Sites, Ticks, run_ticks
 
 Values = NDArray[np.float64]
 
@@ -77,7 +77,7 @@ class Roofs:
             taken(np.tile(make_switch(run.sensor_and_pump, site.tau), (count, 1))),
             taken(np.tile(make_valve(site.valve_moves_per_hour), (count, 1))),
             taken(np.zeros((count, count_places(self._plant)))), np.zeros(count),
-            np.zeros((count, 0, len(Event._fields))), np.zeros((count, 0, len(KEPT))),
+            np.zeros((count, 0, len(Event._fields))), np.zeros((count, 0, len(ALL_KEPT))),
         )
         intervals = -(-run.steps // int(self._plant.interval_ticks))
         bounds = np.linspace(0, count, parts + 1).astype(int).tolist()
@@ -135,7 +135,7 @@ class Roofs:
         if self._compiles:
             controls = records(controls)
         # A single tick is kept: it is a multiple of itself.
-        kept = np.zeros((len(controls), 2 if ticks == 1 else 0, len(KEPT)))
+        kept = np.zeros((len(controls), 2 if ticks == 1 else 0, len(ALL_KEPT)))
         self._sites = sites = self._sites._replace(controls=controls, kept=kept)
         function: Any = compiled(run_ticks) if self._compiles else run_ticks
 
@@ -174,7 +174,7 @@ class Roofs:
             readings: the levels before it (m), shape (2,).
         """
         k = self.tick - 1
-        v = dict(zip(KEPT, self._sites.kept[0][min(k, 1)].tolist(), strict=True))
+        v = dict(zip(ALL_KEPT, self._sites.kept[0][min(k, 1)].tolist(), strict=True))
         flows = Flows(
             v["outflow"], v["pump_flow"], v["drainage"], v["evaporated"], v["limited"] > 0,
             v["mains"], v["low_outlet"],

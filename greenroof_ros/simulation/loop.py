@@ -139,14 +139,14 @@ def record(
             of the run is always kept.
         progress: as for :func:`simulate`.
     """
-    names = [column.tick for column in COLUMNS if (column.attribute or column.tick) in KEPT]
+    names = (column.tick for column in COLUMNS if (column.attribute or column.tick) in KEPT)
     values, rows = attrgetter(*names), array("d")
     for tick in ticks:
         if every and (tick.k % every == 0 or tick.k == run.steps):
             rows.extend(values(tick))
         if tick.k % _REPORTED == 0:
             progress(tick.k / run.steps)
-    kept = np.frombuffer(rows).reshape(-1, len(names))
+    kept = np.frombuffer(rows).reshape(-1, len(KEPT))
     return _make_trajectory(run, kept, every) if every else None
 
 
@@ -155,7 +155,7 @@ def _make_trajectory(run: Run, rows: NDArray[np.float64], every: int) -> Traject
     own = {"layer", *(column.attribute for column in recorded_columns(run.site))}
     ticks = np.minimum(every * np.arange(len(rows)), run.steps)
     return Trajectory(start=run.start, time=run.site.tau * ticks, **{
-        name: values for name, values in zip(KEPT, rows.T, strict=False) if name in own
+        name: values for name, values in zip(KEPT, rows.T, strict=True) if name in own
     })
 
 

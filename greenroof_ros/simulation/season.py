@@ -83,10 +83,12 @@ class Case(NamedTuple):
 
 KEPT = (
     "cistern", "roof", "precipitation", "evapotranspiration", "command", "pump_flow", "outflow",
-    "drainage", "frost", "layer", "outlet", "low_outlet", "evaporated", "limited", "mains",
+    "drainage", "frost", "layer", "outlet", "low_outlet",
 )
-"""values that are kept of a tick: first those of :data:`.COLUMNS`, under their names and in their
-order, then the other flows of :class:`.Flows`"""
+"""values that are kept of a tick, under their names and in the order of :data:`.COLUMNS`"""
+ALL_KEPT = (*KEPT, "evaporated", "limited", "mains")
+"""values that are kept of a tick where all flows are wanted"""
+_KEPT = len(KEPT)
 
 
 class Control(NamedTuple):
@@ -171,7 +173,8 @@ class Sites(NamedTuple):
     events: Any
     """rain events, shape (n, events, columns)"""
     kept: Any
-    """values of some ticks and of the last one, see :data:`KEPT`, shape (n, ticks, values)"""
+    """values of some ticks and of the last one, see :data:`KEPT` and :data:`ALL_KEPT`, shape (n,
+    ticks, values)"""
 
 
 def run_ticks(
@@ -218,11 +221,15 @@ def run_ticks(
             after, flows = step(p, now, falls, demand, switched, opening, OWN_PUMPS)
             observe_pump(switch, flows.pump)
             if len(kept) > 0 and (k % every == 0 or k == steps):
-                kept[(k + every - 1) // every][:] = (
+                values = kept[(k + every - 1) // every]
+                values[:_KEPT] = (
                     now.cistern, now.roof, falls, demand, command, flows.pump, flows.outflow,
                     flows.drainage, 1.0 if frozen else 0.0, now.layer, outlet, flows.low_outlet,
-                    flows.evapotranspiration, 1.0 if flows.limited else 0.0, flows.mains,
                 )
+                if len(values) > _KEPT:
+                    values[_KEPT:] = (
+                        flows.evapotranspiration, 1.0 if flows.limited else 0.0, flows.mains,
+                    )
             if k == steps:
                 break
             if flows.outflow > 0 or flows.drainage > 0:
