@@ -34,13 +34,13 @@ from pictures import draw as draw_pictures
 from who_publishes import WAYS, drawing
 
 from greenroof_ros.__main__ import COMMANDS, GROUPS
-from greenroof_ros.analysis.api.scenarios import read_references
 from greenroof_ros.analysis.district.district_file import (
     District,
     DistrictWeather,
     Draw,
     Orifice,
 )
+from greenroof_ros.api.scenarios import read_references
 from greenroof_ros.base.files import (
     default_site_file,
     parse_yaml,

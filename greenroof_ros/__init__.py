@@ -9,12 +9,11 @@ TYPE_CHECKING = False  # typing's, whose import takes longer than all else here
 if TYPE_CHECKING:
     from typing import Any
 
-    from greenroof_ros.analysis.api.arguments import read_site
-    from greenroof_ros.analysis.api.district import district
-    from greenroof_ros.analysis.api.environment import Environment
-    from greenroof_ros.analysis.api.scenarios import scenarios, score
-    from greenroof_ros.analysis.api.simulate import Result, compare, read_bag, simulate
-    from greenroof_ros.analysis.api.size import size
+    from greenroof_ros.api.district import district
+    from greenroof_ros.api.environment import Environment
+    from greenroof_ros.api.scenarios import scenarios, score
+    from greenroof_ros.api.simulate import Result, compare, read_bag, read_site, simulate
+    from greenroof_ros.api.size import size
 
 __version__ = "1.0.0"
 
@@ -23,10 +22,10 @@ __all__ = [
     "simulate", "size",
 ]
 
-# The module of each of these names in analysis/api.
+# The module of each of these names in api.
 _MODULES = {
     "Environment": "environment", "Result": "simulate", "compare": "simulate",
-    "district": "district", "read_bag": "simulate", "read_site": "arguments",
+    "district": "district", "read_bag": "simulate", "read_site": "simulate",
     "scenarios": "scenarios", "score": "scenarios", "simulate": "simulate", "size": "size",
 }
 
@@ -38,7 +37,7 @@ if not TYPE_CHECKING:  # or every name would be right
         import importlib
 
         if name in _MODULES:
-            module = importlib.import_module(f"{__name__}.analysis.api.{_MODULES[name]}")
+            module = importlib.import_module(f"{__name__}.api.{_MODULES[name]}")
             return getattr(module, name)
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 

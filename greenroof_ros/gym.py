@@ -8,7 +8,7 @@ from greenroof_ros.base.errors import require_extra
 with require_extra("gym"):
     import gymnasium
 
-_API = "greenroof_ros.analysis.api"
+_API = "greenroof_ros.api"
 
 gymnasium.register("GreenRoof-v1", f"{_API}.gym:GreenRoofEnv")
-gymnasium.register("GreenRoofVector-v1", vector_entry_point=f"{_API}.vector:GreenRoofVectorEnv")
+gymnasium.register("GreenRoofVector-v1", vector_entry_point=f"{_API}.gym:GreenRoofVectorEnv")

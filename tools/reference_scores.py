@@ -15,7 +15,7 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from greenroof_ros.analysis.api.scenarios import (
+from greenroof_ros.api.scenarios import (
     REFERENCES,
     Score,
     evaluate,

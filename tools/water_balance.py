@@ -158,12 +158,13 @@ def compare(sizes: object, weather: dict[str, pd.DataFrame], target: float) -> p
 def main() -> None:
     """Print the comparison for a site's cisterns over the complete seasons of a record."""
     import greenroof_ros as gr
-    from greenroof_ros.analysis.api.arguments import read_weather
+    from greenroof_ros.controllers.registry import find_controller
+    from greenroof_ros.simulation.inputs import make_inputs
 
     site = gr.read_site(sys.argv[1])
     options = {"site": site, "weather": sys.argv[2:], "gaps": "fill"}
     sizes = gr.size(outlets=["none"], targets=[1000 * site.z_veg], **options)
-    record = read_weather(options)
+    record, _ = make_inputs(find_controller("onoff"), options).read_records(site)
     hours = pd.DataFrame(
         {"rain": record.precipitation, "evapotranspiration": record.evapotranspiration / 24},
         pd.date_range(record.first.replace(tzinfo=None), periods=record.hours, freq="h"),

@@ -86,6 +86,9 @@ KEPT = (
     "drainage", "frost", "layer", "outlet", "low_outlet",
 )
 """values that are kept of a tick, under their names and in the order of :data:`.COLUMNS`"""
+ALL_KEPT = (*KEPT, "evaporated", "limited", "mains")
+"""values that are kept of a tick where all flows are wanted"""
+_KEPT = len(KEPT)
 
 
 class Control(NamedTuple):
@@ -94,15 +97,21 @@ class Control(NamedTuple):
     fraction: float
     """command while pumping (share of the maximum flow)"""
     level: float
-    """level below which the pumps run (m)"""
+    """level on the roof below which the pumps run (m)"""
+    suction_level: float
+    """level in the cistern below which the pumps are not commanded (m)"""
     policy: float
-    """index of the valve's policy in :data:`.outlet.POLICIES`; that of ``open`` without a valve"""
+    """index of the valve's policy in :data:`.outlet.POLICIES`, of which that of ``open`` also holds
+    without a valve; or the opening itself, a share from 0 to 1"""
     bed: float
     """area to which the weather's evapotranspiration applies (m2)"""
 
 
 class Ticks(NamedTuple):
-    """What consecutive ticks have in common for sites; sequences have shape (ticks,)."""
+    """What consecutive ticks have in common for sites.
+
+    Sequences have shape (runs, ticks), where a run is the weather and the clock of some sites.
+    """
 
     first: int
     """number of the first tick"""
@@ -119,7 +128,7 @@ class Ticks(NamedTuple):
     new_day: Any
     """whether each tick is the first of a day of the clock"""
     errors: Any
-    """error of the roof's sensor (m), or shape (0,) without errors"""
+    """error of the roof's sensor in every run (m), shape (ticks,), or (0,) without errors"""
 
 
 class Forecasts(NamedTuple):
@@ -142,6 +151,8 @@ class Sites(NamedTuple):
     """:class:`.PlantParameters`"""
     controls: Any
     """:class:`Control`"""
+    runs: Any
+    """rows of the ticks"""
     groups: Any
     """rows of the hydrograph"""
     options: Any
@@ -156,10 +167,14 @@ class Sites(NamedTuple):
     """valves, see :func:`.make_valve`, shape (n, 3)"""
     sums: Any
     """sums of the runs, shape (n, places)"""
+    missed: Any
+    """deviations of the roofs' readings from their targets, summed over the ticks that were
+    simulated in the last call, but for its first (m3)"""
     events: Any
     """rain events, shape (n, events, columns)"""
     kept: Any
-    """values of some ticks and of the last one, see :data:`KEPT`, shape (n, ticks, values)"""
+    """values of some ticks and of the last one, see :data:`KEPT` and :data:`ALL_KEPT`, shape (n,
+    ticks, values)"""
 
 
 def run_ticks(
@@ -177,8 +192,11 @@ def run_ticks(
         every: interval between the ticks that are kept (ticks).
         steps: N; the run ends in the state of this tick.
     """
-    first, rain, potential, frost, wet, quiet, new_day, errors = ticks
+    first, errors = ticks.first, ticks.errors
     for row in range(len(sites.state)):
+        run, missed = sites.runs[row], 0.0
+        rain, potential, frost = ticks.rain[run], ticks.potential[run], ticks.frost[run]
+        wet, quiet, new_day = ticks.wet[run], ticks.quiet[run], ticks.new_day[run]
         p, c = sites.parameters[row], sites.controls[row]
         switch, sums, events = sites.switches[row], sites.sums[row], sites.events[row]
         state, kept, valve = sites.state[row], sites.kept[row], sites.valves[row]
@@ -190,9 +208,11 @@ def run_ticks(
             cistern, roof = now.cistern / p.a1, now.roof / p.a2
             if len(errors) > 0:
                 roof = max(0.0, roof + errors[n])
+            if k > begin:
+                missed += abs(roof * p.a2 - p.x2_star)
             may_run, command = p.b > 0 and not (frozen or quiet[n]), 0.0
             if may_run:
-                command = onoff_command(c.fraction, c.level, p.suction_level, cistern, roof)
+                command = onoff_command(c.fraction, c.level, c.suction_level, cistern, roof)
             switched = switch_pump(switch, command, may_run)
             outlet = outlet_share(p, c.policy, wet[n], level, cistern)
             if frozen and p.valve_closed_in_frost:
@@ -201,10 +221,15 @@ def run_ticks(
             after, flows = step(p, now, falls, demand, switched, opening, OWN_PUMPS)
             observe_pump(switch, flows.pump)
             if len(kept) > 0 and (k % every == 0 or k == steps):
-                kept[(k + every - 1) // every][:] = (
+                values = kept[(k + every - 1) // every]
+                values[:_KEPT] = (
                     now.cistern, now.roof, falls, demand, command, flows.pump, flows.outflow,
                     flows.drainage, 1.0 if frozen else 0.0, now.layer, outlet, flows.low_outlet,
                 )
+                if len(values) > _KEPT:
+                    values[_KEPT:] = (
+                        flows.evapotranspiration, 1.0 if flows.limited else 0.0, flows.mains,
+                    )
             if k == steps:
                 break
             if flows.outflow > 0 or flows.drainage > 0:
@@ -214,6 +239,7 @@ def run_ticks(
             add(p, sums, events, now, command, falls, demand, flows, wet[n], new_day[n])
             now = after
         state[0], state[1], state[2] = now.cistern, now.roof, now.layer
+        sites.missed[row] = missed
 
 
 def run_planned(
@@ -343,20 +369,20 @@ class _Season:
         self._ends = look_ahead_ends(run.site, 0.0, HORIZON_H)
         controls = [Control(
             case.parameters["fraction"], case.parameters["level"] * case.site.z_veg,
-            POLICIES.index(case.parameters.get("outlet", OPEN)), bed,
-        ) for case, bed in zip(cases, beds, strict=True)]
+            plant.suction_level, POLICIES.index(case.parameters.get("outlet", OPEN)), bed,
+        ) for case, plant, bed in zip(cases, plants, beds, strict=True)]
         groups = np.array([case.group for case in cases])
         events = s.count_events(plants[0], run.steps) if total == 1 else 0
         kept = -(-run.steps // every) + 1 if every else 0
         self._sites = Sites._make((
             *(records(each) if compiles else each for each in (plants, controls)),
-            np.zeros(count, np.intp), options, options[:, 0].copy(),
+            np.zeros(count, np.intp), np.zeros(count, np.intp), options, options[:, 0].copy(),
             *map(self._as_taken, (
                 np.array([(case.x1, case.x2, case.site.initial_layer) for case in cases]),
                 np.tile(make_switch(run.sensor_and_pump, site.tau), (count, 1)),
                 np.array([make_valve(case.site.valve_moves_per_hour) for case in cases]),
                 np.zeros((count, s.count_places(plants[0]))),
-            )),
+            )), np.zeros(count),
             np.zeros((count, events, len(Event._fields))), np.zeros((count, kept, len(KEPT))),
         ))
         self.parts: list[tuple[slice, NDArray[np.intp], Any]] = []
@@ -377,10 +403,11 @@ class _Season:
             wet, without_rain = self._find_wet(
                 self._as_taken(rain), site.tau, self._wet_after, without_rain
             )
-            block = Ticks(first, *map(self._as_taken, (
-                rain, evaporated / self._bed, frost, wet, quiet,
-                np.isin(np.arange(first, last), new_days), self._errors[first:last],
-            )))
+            new_day = np.isin(np.arange(first, last), new_days)
+            values = rain, evaporated / self._bed, frost, np.asarray(wet), quiet, new_day
+            block = Ticks._make((first, *map(self._as_taken, (
+                *(each[np.newaxis] for each in values), self._errors[first:last],
+            ))))
             if self._forecast is None:
                 yield block, first, last
                 continue

@@ -15,9 +15,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
-from greenroof_ros.analysis.api.arguments import read_site
-from greenroof_ros.analysis.api.control import Function
-from greenroof_ros.analysis.api.simulate import Result, simulate
+from greenroof_ros.api.simulate import Function, Result, read_site, simulate
 from greenroof_ros.base.errors import ConfigurationError, describe_choices
 from greenroof_ros.base.files import read_lines, read_yaml, shared_directory
 from greenroof_ros.controllers.protocol import Controller

@@ -3,30 +3,30 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+import sys
+import warnings
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from datetime import datetime
+from datetime import datetime, timedelta
 from functools import cached_property
+from numbers import Real
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
-from greenroof_ros.analysis.api.arguments import PathText, build_run
-from greenroof_ros.analysis.api.control import (
-    Function,
-    FunctionController,
-    choose_controller,
-    read_parameters,
-)
 from greenroof_ros.base.errors import ConfigurationError, rename_keys, require_extra
+from greenroof_ros.base.files import default_site_file
+from greenroof_ros.base.parameter import Parameter
 from greenroof_ros.base.ranges import Range
 from greenroof_ros.base.times import duration, to_minutes
 from greenroof_ros.controllers.protocol import Controller, set_optional
+from greenroof_ros.controllers.registry import ControllerChoice, choose_class, find_controller
 from greenroof_ros.physics.parameters import plant_parameters
 from greenroof_ros.physics.soil import layer_outflow, percolation
 from greenroof_ros.physics.storm_water import Event
-from greenroof_ros.results.forked_polars import make_frame, refuse_forked_polars
+from greenroof_ros.results.forked_polars import make_frame
 from greenroof_ros.results.metrics import METRICS
 from greenroof_ros.results.trajectory import (
     COLUMNS,
@@ -38,16 +38,197 @@ from greenroof_ros.results.trajectory import (
 )
 from greenroof_ros.simulation import loop, summary
 from greenroof_ros.simulation.directory import make_run_directory, write_configuration
+from greenroof_ros.simulation.inputs import make_inputs
 from greenroof_ros.simulation.run import Run
-from greenroof_ros.site.horizon import look_ahead_ends
+from greenroof_ros.site import file as site_file
+from greenroof_ros.site.horizon import MAX_HORIZON, look_ahead_ends
 from greenroof_ros.site.site import Site
 
 if TYPE_CHECKING:
     import altair
     import polars
 
+PathText: TypeAlias = "str | os.PathLike[str]"
+Values = NDArray[np.float64]
 
 _EVERY = Range(0.0, 1e9, "s")
+_NOT_THE_USERS = {__name__.partition(".")[0], "gymnasium"}
+
+
+def read_site(path: PathText | None = None, **changes: Any) -> Site:
+    """Read a site file, or the paper's site if no file is given.
+
+    Volumes that depend on changed values are recomputed, such as the target volume ``x2_star`` if
+    the target level ``z_veg`` changes.
+
+    Args:
+        path: path of the file; None for the paper's site.
+        changes: values that replace those in the file, each under the name of a parameter or of a
+            key that the file itself uses, such as ``cistern_volume`` and ``roof_area``.
+
+    Raises:
+        ConfigurationError: if the file or a value is invalid.
+
+    Example:
+        >>> import greenroof_ros as gr
+        >>> site = gr.read_site(z_veg=0.04)
+        >>> round(site.x2_star, 3), site.a2
+        (2.752, 68.8)
+    """
+    return site_file.read_site(default_site_file() if path is None else Path(path), changes)
+
+
+def build_run(
+    controller: ControllerChoice, inputs: Mapping[str, Any], warned: set[str]
+) -> Run:
+    """Build and check a run from keyword arguments, and issue its notes as warnings.
+
+    Args:
+        controller: controller of the run.
+        inputs: keyword arguments of the run.
+        warned: warnings that have already been issued and are not repeated; new warnings are added.
+
+    Raises:
+        ConfigurationError: if an input is invalid.
+    """
+    run = make_inputs(controller, inputs).build()
+    for note in (*run.notes(), *run.weather_notes()):
+        if note not in warned:
+            warned.add(note)
+            warnings.warn(note, stacklevel=_count_own_calls())
+    return run
+
+
+def _count_own_calls() -> int:
+    """Return the number of stack frames up to the first outside this package and Gymnasium."""
+    frame, count = sys._getframe(1), 1
+    while frame.f_back is not None and (
+        frame.f_globals.get("__name__", "").partition(".")[0] in _NOT_THE_USERS
+    ):
+        frame, count = frame.f_back, count + 1
+    return count
+
+
+class SiteState(NamedTuple):
+    """The state of a site at a tick."""
+
+    time: datetime
+    """time of the tick, with its offset from UTC"""
+    cistern_level: float
+    """m"""
+    roof_level: float
+    """m"""
+    site: Site
+    """the site's parameters, such as ``z_veg``, the target of the roof's level (m)"""
+
+    @property
+    def cistern(self) -> float:
+        """Volume in the cistern (m3)."""
+        return self.site.cistern_volume(self.cistern_level)
+
+    @property
+    def roof(self) -> float:
+        """Volume on the roof (m3)."""
+        return self.site.roof_volume(self.roof_level)
+
+
+class ForecastSteps(NamedTuple):
+    """A forecast divided into steps, the first of which begins now.
+
+    Each value is the mean over a step.
+    """
+
+    rain: Values
+    """rain (m/s), shape (steps,)"""
+    evapotranspiration: Values
+    """evapotranspiration from the whole bed (m3/s), shape (steps,)"""
+    ends: Values
+    """ends of the steps (s from now), the first 0, shape (steps + 1,); step i lasts from
+    ``ends[i]`` to ``ends[i + 1]``"""
+
+
+Function = Callable[[SiteState, ForecastSteps], float]
+"""A controller: a function that returns the command, as a share of the pumps' maximum flow (1)."""
+
+
+def read_number(value: Any) -> float | None:
+    """Return a real number, or the only real number in an array; None for any other value."""
+    if isinstance(value, np.ndarray) and value.size == 1:
+        value = value.item()
+    return float(value) if isinstance(value, Real) else None
+
+
+class FunctionController:
+    """A controller that calls a function; a subclass provides the function."""
+
+    parameters: ClassVar[tuple[Parameter, ...]] = (Parameter(
+        "horizon", 24.0, "h", 0.1, MAX_HORIZON,
+        "length of the forecast, which is divided into steps of increasing length",
+    ),)
+    function: ClassVar[Function]
+    forecast_ends: Values
+
+    def __init__(self, site: Site, horizon: float) -> None:
+        self._site = site
+        self._tick = -1
+        self.forecast_ends = np.empty(0)
+        self.start: datetime
+        """start of the run, which is set before the run"""
+
+    def command(
+        self,
+        cistern_level: float,
+        roof_level: float,
+        precipitation: Sequence[float],
+        evapotranspiration: Sequence[float],
+    ) -> float:
+        """Return the result of the function, as a float if it is a number."""
+        self._tick += 1
+        time = self.start + timedelta(seconds=self._tick * self._site.tau)
+        value = type(self).function(
+            SiteState(time, cistern_level, roof_level, self._site),
+            ForecastSteps(
+                np.asarray(precipitation), np.asarray(evapotranspiration), self.forecast_ends
+            ),
+        )
+        number = read_number(value)
+        return value if number is None else number  # anything else is rejected, and named
+
+    def skip(self) -> None:
+        """Count a tick in which the pump must not run."""
+        self._tick += 1
+
+    def statistics(self) -> None:
+        """Return None, since the controller has no solver."""
+
+
+def choose_controller(controller: Any) -> tuple[ControllerChoice, Controller | None]:
+    """Return the choice of controller, and the controller itself if it is an instance.
+
+    Args:
+        controller: a name, ``package.module:Class``, a class, an instance, or a function of a
+            :class:`SiteState` and :class:`ForecastSteps`.
+
+    Raises:
+        ConfigurationError: if the controller is not of any of these kinds.
+    """
+    if isinstance(controller, str):
+        return find_controller(controller), None
+    if isinstance(controller, type):
+        return choose_class(controller), None
+    if hasattr(controller, "command"):
+        return choose_class(type(controller)), controller
+    if not callable(controller):
+        raise ConfigurationError(
+            "must be a name, a class, an instance, or a function of (state, forecast)",
+            key="controller", value=controller,
+        )
+    name = getattr(controller, "__name__", type(controller).__name__).strip("<>")
+    members = {
+        "function": staticmethod(controller), "__module__": controller.__module__,
+        "__wrapped__": controller,  # so that errors name its place
+    }
+    return choose_class(type(name, (FunctionController,), members)), None
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -148,21 +329,14 @@ class Result:
             >>> gr.simulate("onoff", hours=36).events["rain_mm"].round(1).to_list()
             [5.9, 21.6]
         """
-        refuse_forked_polars()
-        with require_extra("study"):
-            import polars
-        events = self.summary["events"]
         zone = self.run.site.time_zone or zone_name(self.run.start)
-        starts = polars.Series(
-            [datetime.fromisoformat(event["start"]) for event in events],
-            dtype=polars.Datetime("us", "UTC"),
-        )
-        return polars.DataFrame({
-            "start": starts.dt.convert_time_zone(zone),
-            **{name: [event[name] for event in events] for name in Event._fields},
-        }, schema_overrides={
-            **dict.fromkeys(Event._fields, polars.Float64), "complete": polars.Boolean,
+        frame = make_frame(self.summary["events"], schema={
+            "start": str, **dict.fromkeys(Event._fields, float), "complete": bool,
         })
+        return frame.with_columns(
+            frame["start"].str.to_datetime(time_unit="us", time_zone="UTC")
+            .dt.convert_time_zone(zone)
+        )
 
     def plot(self) -> altair.VConcatChart:
         """Return a chart of rain, roof level, cistern level, pump flow and any flow to the sewer.
@@ -289,20 +463,24 @@ def _simulate(
         run = build_run(choice, inputs, warned)
         instance = run.make_controller()
     else:
-        of_valve = {parameter.name for parameter in choice.of_valve}
-        given = inputs.keys() & choice.parameters.keys() - of_valve
-        if given:
+        names = choice.parameters.keys() - {parameter.name for parameter in choice.of_valve}
+        if inputs.keys() & names:
             raise ConfigurationError(
                 f"cannot be set for an instance of {choice.name}, which has its own parameters",
-                key=", ".join(sorted(given)),
+                key=", ".join(sorted(inputs.keys() & names)),
             )
-        own = read_parameters(instance, choice)
+        own = {name: getattr(instance, name) for name in names if hasattr(instance, name)}
+        if "horizon" in names - own.keys():
+            raise ConfigurationError(
+                "must have its parameter horizon as an attribute, or else pass the class and "
+                "horizon=", key=f"an instance of {choice.name}",
+            )
         run = build_run(choice, {**inputs, **own}, warned)
         # Not the defaults: nothing is known about its other parameters.
-        known = {
-            name: value for name, value in run.parameters.items() if name in own or name in of_valve
-        }
-        run = replace(run, parameters=known)
+        unknown = names - own.keys()
+        run = replace(run, parameters={
+            name: value for name, value in run.parameters.items() if name not in unknown
+        })
         ends = look_ahead_ends(run.site, run.parameters.get("horizon", 0.0))
         set_optional(instance, forecast_ends=ends)
     if isinstance(instance, FunctionController):

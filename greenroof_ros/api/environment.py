@@ -5,18 +5,18 @@ from __future__ import annotations
 import copy
 import math
 from dataclasses import replace
-from datetime import timedelta
+from datetime import datetime, timedelta
 from numbers import Integral
 from typing import Any
 
 import numpy as np
 
-from greenroof_ros.analysis.api.arguments import build_run
-from greenroof_ros.analysis.api.commanded import CommandedSites, Surroundings
-from greenroof_ros.analysis.api.control import (
+from greenroof_ros.api.roofs import Roofs
+from greenroof_ros.api.simulate import (
     ForecastSteps,
     FunctionController,
     SiteState,
+    build_run,
     read_number,
 )
 from greenroof_ros.base.errors import ConfigurationError
@@ -26,7 +26,33 @@ from greenroof_ros.forecast.steps import make_forecast
 from greenroof_ros.physics.compiled import pays_to_compile
 from greenroof_ros.simulation.inputs import find_needs
 from greenroof_ros.simulation.loop import Tick
+from greenroof_ros.simulation.run import Run
 from greenroof_ros.site.horizon import look_ahead_ends
+from greenroof_ros.weather.series import WeatherSeries
+
+
+def restart(run: Run, start: datetime, seed: int | None) -> Run:
+    """Return a run with another start, and with another seed of its forecasts' errors if given."""
+    choice, series = run.forecast_choice, run.series
+    if seed is not None and "seed" in choice.options():
+        choice = replace(choice, seed=seed)
+    if (start, choice) == (run.start, run.forecast_choice):
+        return run
+    if start != run.start:
+        series = WeatherSeries(run.weather, run.site, start, run.steps)
+    return replace(
+        run, start=start, series=series, forecast_choice=choice, forecast=make_forecast(
+            run.weather, series, run.site, start, run.parameters["horizon"], choice,
+            *find_needs(run.controller, run.parameters),
+        ),
+    )
+
+
+def foresee(run: Run, tick: int) -> tuple[Any, Any]:
+    """Return the rain (m/s) and the evapotranspiration (m3/s) in the steps of a forecast."""
+    rain, evaporated, *_ = run.forecast.at(tick)
+    own_steps = run.controller.count_own_steps(run.site, run.parameters)
+    return run.controller.own_forecast(own_steps, rain, evaporated)
 
 
 class Environment:
@@ -50,7 +76,6 @@ class Environment:
     """
 
     __copy__ = copy.deepcopy  # otherwise both would go on with one state
-    _pays_to_compile = staticmethod(pays_to_compile)
 
     def __init__(self, **inputs: Any) -> None:
         """Begin a run.
@@ -64,15 +89,15 @@ class Environment:
         Raises:
             ConfigurationError: if an input is invalid.
         """
-        self._run = run = build_run(choose_class(FunctionController), inputs, set())
-        self.site = run.site
-        self._ends = look_ahead_ends(self.site, run.parameters["horizon"])
-        frost = run.series.frost
-        self._surroundings = Surroundings.of_run(
-            run, run.series.precipitation, range(frost.step(0), frost.step(run.steps) + 1),
-            self._pays_to_compile(run.steps),
-        )
-        self.reset()
+        run = build_run(choose_class(FunctionController), inputs, set())
+        self._begin(run, pays_to_compile(run.steps))
+
+    def _begin(self, run: Run, compiles: bool) -> None:
+        """Begin a run, whose ticks are compiled or not."""
+        self._run, self.site, self._compiles = run, run.site, compiles
+        self._ends = look_ahead_ends(run.site, run.parameters["horizon"])
+        self._roofs = Roofs([run], compiles)
+        self._policy = run.make_outlet(run.make_controller())
 
     def reset(self, seed: int | None = None) -> SiteState:
         """Restart the run, and return its initial state.
@@ -89,22 +114,9 @@ class Environment:
             >>> roof.step(0.0) and roof.reset().time.isoformat()
             '2021-07-07T02:00:00-05:00'
         """
-        if seed is not None:
-            if not (isinstance(seed, Integral) and seed >= 0):
-                raise ConfigurationError(
-                    "must be a non-negative whole number", key="seed", value=seed
-                )
-            run = self._run
-            choice = replace(run.forecast_choice, seed=seed)
-            self._run = replace(run, forecast_choice=choice, forecast=make_forecast(
-                run.weather, run.series, self.site, run.start, run.parameters["horizon"], choice,
-                *find_needs(run.controller, run.parameters),
-            ))
-        run = self._run
-        self._sites = CommandedSites(
-            self._surroundings, [run.start], np.array([run.x1]), np.array([run.x2])
-        )
-        self._policy = run.make_outlet(run.make_controller())
+        if not (seed is None or (isinstance(seed, Integral) and seed >= 0)):
+            raise ConfigurationError("must be a non-negative whole number", key="seed", value=seed)
+        self._begin(restart(self._run, self._run.start, seed), self._compiles)
         return self.state
 
     def step(self, command: float, outlet: float | None = None) -> Tick:
@@ -132,10 +144,10 @@ class Environment:
             raise ConfigurationError(
                 "must be a finite, non-negative number", key="command", value=command
             )
-        opening = 1.0
+        opening, readings = 1.0, self._roofs.levels[0]
+        cistern, roof = map(float, readings)
         if self._policy is not None:
-            outlook = self._run.forecast.at(self._sites.tick)
-            cistern, roof = map(float, self._sites.levels[0])
+            outlook = self._run.forecast.at(self._roofs.tick)
             # The policy is called in every tick, because it counts the time without rain.
             opening = self._policy(cistern, roof, outlook.rain, outlook.evapotranspiration)
             if outlet is not None:
@@ -146,27 +158,8 @@ class Environment:
                 "commands the valve on the low outlet, which this site does not have "
                 "(low_outlet_valve: true)", key="outlet", value=outlet,
             )
-        self._follow(share, 1, opening)
-        return self._sites.find_last_tick(0)
-
-    def _follow(self, command: float, ticks: int, outlet: float = 1.0) -> float:
-        """Run some ticks with the same commands, or fewer up to the end of the run.
-
-        Args:
-            command: as for :meth:`step`.
-            ticks: number of ticks.
-            outlet: opening of the valve (1); 1 without a valve. Its policy is not called.
-
-        Returns:
-            The negative deviation of the roof's reading from its target, summed over the states
-            after the ticks (m3).
-        """
-        sites = self._sites
-        sites.commands[0][0], sites.commands[0][1] = command, outlet
-        last = min(sites.tick + ticks, self._run.steps)
-        sites.follow(last, 0, 1)
-        sites.tick = last
-        return float(sites.rewards[0])
+        self._roofs.follow([share], [opening], 1)
+        return self._roofs.find_tick(readings)
 
     @property
     def state(self) -> SiteState:
@@ -178,9 +171,8 @@ class Environment:
             >>> roof.state.time.isoformat(), round(roof.state.cistern_level, 3)
             ('2021-07-07T02:00:00-05:00', 2.308)
         """
-        sites = self._sites
-        time = self._run.start + timedelta(seconds=sites.tick * self.site.tau)
-        cistern, roof = map(float, sites.levels[0])
+        time = self._run.start + timedelta(seconds=self._roofs.tick * self.site.tau)
+        cistern, roof = map(float, self._roofs.levels[0])
         return SiteState(time, cistern, roof, self.site)
 
     @property
@@ -192,7 +184,7 @@ class Environment:
             >>> gr.Environment(hours=1).done
             False
         """
-        return self._sites.tick == self._run.steps
+        return self._roofs.tick == self._run.steps
 
     @property
     def forecast(self) -> ForecastSteps:
@@ -205,10 +197,7 @@ class Environment:
             >>> print(f"{1000 * forecast.rain @ lengths:.1f} mm of rain in 3 h")
             3.2 mm of rain in 3 h
         """
-        run = self._run
-        rain, evaporated, *_ = run.forecast.at(self._sites.tick)
-        own_steps = run.controller.count_own_steps(self.site, run.parameters)
-        rain, evaporated = run.controller.own_forecast(own_steps, rain, evaporated)
+        rain, evaporated = foresee(self._run, self._roofs.tick)
         return ForecastSteps(np.asarray(rain), np.asarray(evaporated), self._ends)
 
     @property
@@ -222,4 +211,4 @@ class Environment:
             >>> roof.metrics["pump_starts"]
             1
         """
-        return self._sites.compute_metrics()[0]
+        return self._roofs.metrics()[0]

@@ -14,7 +14,7 @@ from reference_scores import compute, delay_by_a_week
 from refusals import refusal
 
 import greenroof_ros as gr
-from greenroof_ros.analysis.api.scenarios import read_references
+from greenroof_ros.api.scenarios import read_references
 from greenroof_ros.forecast.issue import read_archive
 from greenroof_ros.simulation.bound import bound_discharge
 from greenroof_ros.simulation.loop import simulate

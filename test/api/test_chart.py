@@ -12,7 +12,7 @@ import pytest
 from refusals import refusal
 
 import greenroof_ros as gr
-from greenroof_ros.analysis.api.simulate import Comparison
+from greenroof_ros.api.simulate import Comparison
 
 NAMES = {"on/off": "onoff", "MPC": "mpc"}
 

@@ -27,8 +27,8 @@ from places import CHECKOUT, CONFIG
 from refusals import refusal
 
 import greenroof_ros as gr
-from greenroof_ros.analysis.api.control import ForecastSteps, SiteState
 from greenroof_ros.analysis.report.sources import find_runs
+from greenroof_ros.api.simulate import ForecastSteps, SiteState
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.controllers.anticipating_onoff import AnticipatingOnOff
 from greenroof_ros.controllers.lookahead import Lookahead
