@@ -9,6 +9,8 @@ TYPE_CHECKING = False  # typing's, whose import takes longer than all else here
 if TYPE_CHECKING:
     from typing import Any
 
+    from greenroof_ros.analysis.calibration.result import calibrate
+    from greenroof_ros.analysis.verification.result import verify
     from greenroof_ros.api.district import district
     from greenroof_ros.api.environment import Environment
     from greenroof_ros.api.scenarios import scenarios, score
@@ -18,15 +20,17 @@ if TYPE_CHECKING:
 __version__ = "1.0.0"
 
 __all__ = [
-    "Environment", "Result", "compare", "district", "read_bag", "read_site", "scenarios", "score",
-    "simulate", "size",
+    "Environment", "Result", "calibrate", "compare", "district", "read_bag", "read_site",
+    "scenarios", "score", "simulate", "size", "verify",
 ]
 
-# The module of each of these names in api.
+# The module of each of these names.
 _MODULES = {
-    "Environment": "environment", "Result": "simulate", "compare": "simulate",
-    "district": "district", "read_bag": "simulate", "read_site": "simulate",
-    "scenarios": "scenarios", "score": "scenarios", "simulate": "simulate", "size": "size",
+    "Environment": "api.environment", "Result": "api.simulate",
+    "calibrate": "analysis.calibration.result", "compare": "api.simulate",
+    "district": "api.district", "read_bag": "api.simulate", "read_site": "api.simulate",
+    "scenarios": "api.scenarios", "score": "api.scenarios", "simulate": "api.simulate",
+    "size": "api.size", "verify": "analysis.verification.result",
 }
 
 
@@ -37,7 +41,7 @@ if not TYPE_CHECKING:  # or every name would be right
         import importlib
 
         if name in _MODULES:
-            module = importlib.import_module(f"{__name__}.api.{_MODULES[name]}")
+            module = importlib.import_module(f"{__name__}.{_MODULES[name]}")
             return getattr(module, name)
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 

@@ -141,6 +141,11 @@ def calibrate(
 
     Raises:
         ConfigurationError: if the record or the site is invalid, or if no roof fits the record.
+
+    Example:
+        >>> import greenroof_ros as gr
+        >>> made = gr.calibrate("roof_2025.csv", "my_site.yaml")  # doctest: +SKIP
+        >>> made.site.field_capacity, made.scores, made.warnings  # doctest: +SKIP
     """
     file, source = Path(site), Path(measured)
     start = complete_roof(read_site(file))

@@ -91,6 +91,10 @@ def verify(
     Raises:
         ConfigurationError: if an input is invalid, or if forecasts and records have no complete sum
             in common.
+
+    Example:
+        >>> import greenroof_ros as gr
+        >>> gr.verify("gem_previous_runs.csv", ["gauge.csv"]).table  # doctest: +SKIP
     """
     lengths = _read_sums(lead, sums, events)
     place = read_site(Path(site) if site else default_site_file())
