@@ -327,7 +327,7 @@ class Comparison:
         """The metrics of all controllers, one row each, under their names in ``summary.json``.
 
         Raises:
-            ConfigurationError: if polars is not installed.
+            ConfigurationError: if the runs differ in length, or if polars is not installed.
 
         Example:
             >>> import greenroof_ros as gr
@@ -335,6 +335,16 @@ class Comparison:
             >>> table["controller", "pump_starts"].rows()
             [('on/off', 1), ('MPC', 1)]
         """
+        lengths = {
+            name: each.run.steps * each.run.site.tau for name, each in self.results.items()
+        }
+        first, length = next(iter(lengths.items()))
+        for name, seconds in lengths.items():
+            if seconds != length:
+                raise ConfigurationError(
+                    f"lasts {duration(seconds)}, but {first} lasts {duration(length)}: all runs in "
+                    "a table must have the same length", key=name,
+                )
         return make_frame([
             {"controller": name, **result.metrics} for name, result in self.results.items()
         ])
