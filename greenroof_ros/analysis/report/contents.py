@@ -28,7 +28,7 @@ _BESIDE = {WET: ("discharge_m3", "retention_share")}
 # With more cases than this, only results.csv contains all results.
 _MAX_CASES = 8
 # Longer notes are cut; results.csv and summary.json contain all of them.
-_MAX_NOTE = 300
+_MAX_NOTE = 160
 _TEXTS = "notes", "weather_notes"
 _MAX = {metric.name: metric.max for metric in METRICS}
 # What is worth a note if a column of a run's row is not 0.
@@ -80,19 +80,29 @@ def render(report: Report, figures: Sequence[Figure]) -> str:
 
 
 def answer(report: Report) -> str:
-    """Return the answer: the best case by the first shown metric, and what it achieves."""
-    label, count = COLUMNS[report.show[0]].label, len(report.places)
-    if count > 1:
-        counts = Counter(place[0].label for place in report.places)
-        shares = ", ".join(f"{name} ({number})" for name, number in counts.most_common(3))
-        return f"Best by {label} in {count} windows and initial states: {shares}."
-    best, *others = report.places[0]
-    shown = "; ".join(
-        f"{COLUMNS[name].label} {_cell(best, name)} {COLUMNS[name].unit}".rstrip()
-        for name in _columns(report)
-    )
-    return f"Of {len(others) + 1} cases, the best by {label}: " * bool(others) + (
-        f"{best.label}: {shown}."
+    """Return the answer: the best case, what it achieves, and what the first case of the study."""
+    name, reference = report.show[0], report.runs[0].row["case"]
+    label, count = Counter(place[0].label for place in report.places).most_common(1)[0]
+    places = [place for place in report.places if place[0].label == label]
+    if len(report.cases) == 1:
+        return f"{label}: {_achieved(places[0][0], _columns(report))}."
+    text = f"Best by {COLUMNS[name].label}: {label}"
+    if len(report.places) > 1:
+        text += f", in {count} of {number_of(len(report.places), 'comparison')}"
+    where, achieved = report.name_place(places[0]), _achieved(places[0][0], _columns(report))
+    sentences = [text, f"{where[:1].upper()}{where[1:]}: {achieved}" if where else (
+        f"Means: {achieved}"
+    )]
+    sentences += [
+        f"With {reference}: {_achieved(case, [name])}" for case in places[0]
+        if case.label == reference != label
+    ]
+    return ". ".join(sentences) + "."
+
+
+def _achieved(case: CaseRuns, names: Sequence[str]) -> str:
+    return "; ".join(
+        f"{COLUMNS[name].label} {_cell(case, name)} {COLUMNS[name].unit}".rstrip() for name in names
     )
 
 
@@ -129,7 +139,7 @@ def make_table(report: Report) -> Table:
             ])
             if compared:
                 mean, better, years = case.change or (None, 0, 0)
-                rows[-1] += [mean, f"{better} of {years}" if years else ""]
+                rows[-1] += [mean, f"{better} of {years}"] if years else ["", ""]
         bounds = [place[0].row.get(BOUNDS.get(name, "")) for name in names]
         if any(bounds):
             rows.append([BOUND, *where, *("" if each is None else each for each in bounds), ""])
@@ -172,10 +182,11 @@ def make_notes(report: Report) -> list[str]:
     """Return the notes for the reader, each with the number of runs to which it applies."""
     texts = Counter(
         text for run in report.runs for text in (
-            *run.notes, *(run.row[name] for name in _TEXTS if run.row.get(name))
+            *run.notes,
+            *(shorten(run.row[name], _MAX_NOTE) for name in _TEXTS if run.row.get(name)),
         )
     )
-    notes = [f"{shorten(text, _MAX_NOTE)} ({_of(count, report)})" for text, count in texts.items()]
+    notes = [f"{text} ({_of(count, report)})" for text, count in texts.items()]
     for name, text in _NOTED.items():
         if values := [value for run in report.runs if (value := run.row.get(name))]:
             notes.append(f"{text}: up to {max(values):.4g} ({_of(len(values), report)})")

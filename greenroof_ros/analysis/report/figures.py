@@ -78,16 +78,16 @@ def _compare(place: Sequence[CaseRuns], show: Sequence[str], title: str) -> Pane
     channels: dict[str, Any] = {
         axis: _axis(axis, name, zero=len(names) > 1) for axis, name in names.items()
     }
-    if len(names) > 1:
-        channels |= distinguish_points("case", cases)
-    else:
+    points = distinguish_points("case", cases) if len(names) > 1 else {}
+    channels |= {key: points[key] for key in points.keys() - {"shape"}}
+    if len(names) == 1:
         channels["y"] = alt.Y("case:N", sort=cases, title=None, axis=alt.Axis(labelLimit=190))
     base = alt.Chart(alt.InlineData(rows)).encode(**channels)
     layers: list[alt.Chart] = []
     for axis in names:
         ends: dict[str, Any] = {axis: f"{axis}_low:Q", f"{axis}2": f"{axis}_high:Q"}
         layers.append(base.mark_rule(opacity=0.5).encode(**ends))
-    layers.append(base.mark_point(filled=True, opacity=1, size=80))
+    layers.append(base.mark_point(filled=True, opacity=1, size=80).encode(**points))
     height = 280 if len(names) > 1 else max(60, 18 * len(rows))
     return Panel(alt.layer(*layers), title, height)
 

@@ -51,14 +51,15 @@ def test_means_by_hand(tmp_path: Path) -> None:
     ]
     assert table.texts() == [
         ["other", "140 (80 to 200)", "22", "-10", "11 of 11"],
-        ["on/off", "150 (100 to 200)", "11", "none", ""], [BOUND, "50", "", "", ""],
+        ["on/off", "150 (100 to 200)", "11", "", ""], [BOUND, "50", "", "", ""],
     ]
     assert table.marked == {0}
     # The mean is over years with a share; without one there is no number.
     full = {name: texts for name, *texts in make_full_table(report).texts()}  # type: ignore[union-attr]
     assert full["retention of the roof (%)"] == ["none", "62 (50 to 75)"]
     assert answer(report) == (
-        "Of 2 cases, the best by total deviation: other: total deviation 140 (80 to 200) m³."
+        "Best by total deviation: other. Means: total deviation 140 (80 to 200) m³. With on/off: "
+        "total deviation 150 (100 to 200) m³."
     )
     assert list(figures_of(report)) == ["comparison", "seasons"]
 
@@ -109,7 +110,7 @@ def test_seeds_belong_together(tmp_path: Path) -> None:
         and "07-07" in texts[1]
     )
     assert text[2:] == ["1013 (1001 to 1025)", "25"]
-    assert "m³" not in answer(report) and "in 4 windows" in answer(report)
+    assert "in 4 of 4 comparisons" in answer(report)
     assert isinstance(make_full_table(report), str)
     (note,) = (note for note in make_notes(report) if "solver" in note)
     assert note.endswith("up to 25 (599 of 599 runs)")
