@@ -12,20 +12,16 @@ from greenroof_ros.base.text import escape
 _PAGE = "report.html"
 
 _DESCRIPTION = """\
-Evaluate and plot runs on a single page that can be viewed in any browser and printed. The page
-contains the results with their ranges, figures of the comparison, the rain events, the levels and
-the flows, and what the results rest on.
+Evaluate and plot runs on a single page that can be viewed in any browser and printed.
 """
 _EPILOG = """\
 The output consists of report.html, and all figures as SVG and PNG in figures/. A bag must contain
 /cistern/level, /roof/level, /pump/command and /pump/flow, possibly in a namespace. If any other
-topic is missing, its values are taken to be 0, and the report notes this. The pumps' efficiency is
-taken from pump_efficiency in the site file.
+topic is missing, its values are taken to be 0, and the report notes this.
 
 examples:
   greenroof report studies/paper                   a study
   greenroof report runs/a runs/b --output both     runs or simulations, overlaid
-  greenroof report bag --site my_site.yaml         a bag of a real site
 """
 
 
@@ -38,9 +34,8 @@ def make_parser() -> Parser:
     )
     parser.add_argument(
         "--output", type=Path, metavar="DIR",
-        help="write the report to this directory, which may be new or empty, or may contain an "
-        "earlier report, which is replaced. A directory with other files is rejected (default: "
-        "report in the first PATH)",
+        help="write the report to this directory, in place of an earlier report; other files are "
+        "rejected (default: report in the first PATH)",
     )
     parser.add_argument(
         "--site", type=Path, metavar="FILE",

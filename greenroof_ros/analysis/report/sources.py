@@ -108,7 +108,7 @@ def _name_by_difference(runs: Mapping[Path, ReportedRun]) -> None:
 
     Runs whose windows have the same name share the window, unless their files differ.
     """
-    windows = dict[str, tuple[object, ...]]()
+    windows, cases = dict[str, tuple[object, ...]](), set[tuple[str, ...]]()
     apart = find_differing_keys([row_parameters(run.row) for run in runs.values()])
     for path, run in runs.items():
         row, given = run.row, row_parameters(run.row)
@@ -120,10 +120,9 @@ def _name_by_difference(runs: Mapping[Path, ReportedRun]) -> None:
             f"{key} {format_exactly(given[key]) if isinstance(given[key], float) else given[key]}"
             for key in apart if key in given
         )])
-    cases = [(run.row["window"], run.row["initial"], run.row["case"]) for run in runs.values()]
-    for (path, run), case in zip(runs.items(), cases, strict=True):
-        if cases.count(case) > 1:
-            run.row["case"] += f" ({path})"
+        if (case := (row["window"], row["initial"], row["case"])) in cases:
+            row["case"] += f" ({path})"
+        cases.add(case)
 
 
 def _digest(*files: Path) -> str:

@@ -428,7 +428,7 @@ def test_a_changed_parameter(tmp_path: Path) -> None:
     both = report_of(*paths)
     (place,) = both.places  # each has a copy of the same site
     assert {case.label for case in place} == {
-        f"mpc weight 0.001 ({paths[0]})", f"mpc weight 0.001 ({paths[1]})", "mpc weight 0.01"
+        "mpc weight 0.001", f"mpc weight 0.001 ({paths[1]})", "mpc weight 0.01"
     }
     assert "weight was changed from 0.001 to 1e-05 at tick 300 (1 of 3 runs)" in make_notes(both)
     # Another site is another window.
