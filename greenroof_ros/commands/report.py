@@ -1,4 +1,14 @@
-"""Evaluate and plot runs in a report: ``greenroof report PATH [PATH ...]``."""
+"""Evaluate and plot runs on a single page that can be viewed in any browser and printed.
+
+The output consists of report.html, and all figures as SVG and PNG in figures/. A bag must contain
+/cistern/level, /roof/level, /pump/command and /pump/flow, possibly in a namespace. If any other
+topic is missing, its values are taken to be 0, and the report notes this.
+
+Examples:
+  greenroof report studies/paper                   a study
+  greenroof report runs/a runs/b --output both     runs or simulations, overlaid
+  greenroof report bag --site my_site.yaml         a bag of a real site
+"""
 
 from __future__ import annotations
 
@@ -11,23 +21,10 @@ from greenroof_ros.base.text import escape
 
 _PAGE = "report.html"
 
-_DESCRIPTION = """\
-Evaluate and plot runs on a single page that can be viewed in any browser and printed.
-"""
-_EPILOG = """\
-The output consists of report.html, and all figures as SVG and PNG in figures/. A bag must contain
-/cistern/level, /roof/level, /pump/command and /pump/flow, possibly in a namespace. If any other
-topic is missing, its values are taken to be 0, and the report notes this.
-
-examples:
-  greenroof report studies/paper                   a study
-  greenroof report runs/a runs/b --output both     runs or simulations, overlaid
-"""
-
 
 def make_parser() -> Parser:
     """Return the parser of the command line."""
-    parser = Parser(prog="greenroof report", description=_DESCRIPTION, epilog=_EPILOG)
+    parser = Parser.of("report", __doc__, "PATH ... [options]")
     parser.add_argument(
         "paths", type=Path, nargs="+", metavar="PATH",
         help="directory of a study or a run, a bag, or an .mcap file",
