@@ -104,8 +104,8 @@ class Result:
           UTC if that offset is not in whole hours)
         - ``time_s``: time since the start
         - ``cistern_m3``, ``roof_m3``: water volumes x1 and x2
-        - ``cistern_level_m``, ``roof_level_m``: water depths; bags and the file written by the
-          command contain the sensor readings instead, which differ if the roof's sensor has errors
+        - ``cistern_level_m``, ``roof_level_m``: water depths; bags contain the readings of the
+          sensors instead, which differ if the roof's sensor has errors
         - ``precipitation_m_per_s``: rain
         - ``evapotranspiration_m3_per_s``: evapotranspiration from the whole bed if the plants do
           not lack water
