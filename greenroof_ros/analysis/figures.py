@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import itertools
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -21,8 +21,6 @@ COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#000000", "#E69F00", "#5
 _DASHES = ([1, 0], [8, 3], [2, 2], [10, 3, 2, 3], [5, 2, 1, 2, 1, 2])
 _SHAPES = ("circle", "square", "triangle-up", "diamond", "cross")
 _PANEL_WIDTH = 400
-# Panels that share a file need parameters of different names.
-_NUMBERS = itertools.count()
 VEGA_LITE = ".".join(alt.SCHEMA_VERSION.removeprefix("v").split(".")[:2])
 CONFIG: dict[str, Any] = {
     "font": "Arial, Helvetica, sans-serif",
@@ -191,40 +189,21 @@ def cycle_choices(choices: Sequence[Any], values: Sequence[str]) -> alt.Scale:
     return alt.Scale(domain=list(chosen), range=list(chosen.values()))
 
 
-def value_scale(values: Iterable[float | None]) -> alt.Scale:
-    """Return the scale that covers a quantity's values; it is logarithmic if they vary widely."""
-    known = [value for value in values if value is not None]
-    if known and 0 < 5 * min(known) < max(known):
-        return alt.Scale(type="log", nice=False, padding=8)
-    return alt.Scale(type="linear", zero=False, nice=False, padding=8)
-
-
 def round_value(value: float | None) -> float | None:
     """Return a value with as many digits as a figure can show; None if it is not finite."""
     return None if value is None or not math.isfinite(value) else float(f"{value:.7g}")
 
 
 def series_panel(
-    lines: alt.Chart, field: str, names: list[str], title: str,
-    below: Sequence[alt.Chart],
+    lines: alt.Chart, field: str, names: list[str], title: str, below: Sequence[alt.Chart],
 ) -> Panel:
-    """Return a panel of lines; on the page, a click on its legend fades all other lines.
-
-    The mouse wheel zooms along x while Shift is pressed; otherwise, it scrolls the page.
+    """Return a panel of lines.
 
     Args:
-        lines: chart with axes and tooltips.
+        lines: chart with axes.
         field: field that distinguishes the lines.
         names: names of the lines, the values of ``field``.
         title: title of the panel.
         below: charts to draw underneath the lines.
     """
-    number = next(_NUMBERS)
-    chosen = alt.selection_point(name=f"chosen_{number}", fields=[field], bind="legend")
-    opacity = alt.when(chosen).then(alt.value(1.0)).otherwise(alt.value(0.1))
-    series = distinguish_series(field, names)
-    zoom = alt.selection_interval(
-        name=f"zoom_{number}", encodings=["x"], bind="scales", zoom="wheel![event.shiftKey]"
-    )
-    lines = lines.encode(**series, strokeOpacity=opacity).add_params(chosen, zoom)
-    return Panel(alt.layer(*below, lines) if below else lines, title)
+    return Panel(alt.layer(*below, lines.encode(**distinguish_series(field, names))), title)

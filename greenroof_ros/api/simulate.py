@@ -285,8 +285,8 @@ class Result:
           UTC if that offset is not in whole hours)
         - ``time_s``: time since the start
         - ``cistern_m3``, ``roof_m3``: water volumes x1 and x2
-        - ``cistern_level_m``, ``roof_level_m``: water depths; bags and the file written by the
-          command contain the sensor readings instead, which differ if the roof's sensor has errors
+        - ``cistern_level_m``, ``roof_level_m``: water depths; bags contain the readings of the
+          sensors instead, which differ if the roof's sensor has errors
         - ``precipitation_m_per_s``: rain
         - ``evapotranspiration_m3_per_s``: evapotranspiration from the whole bed if the plants do
           not lack water
@@ -505,7 +505,7 @@ class Comparison:
         """The metrics of all controllers, one row each, under their names in ``summary.json``.
 
         Raises:
-            ConfigurationError: if polars is not installed.
+            ConfigurationError: if the runs differ in length, or if polars is not installed.
 
         Example:
             >>> import greenroof_ros as gr
@@ -513,6 +513,16 @@ class Comparison:
             >>> table["controller", "pump_starts"].rows()
             [('on/off', 1), ('MPC', 1)]
         """
+        lengths = {
+            name: each.run.steps * each.run.site.tau for name, each in self.results.items()
+        }
+        first, length = next(iter(lengths.items()))
+        for name, seconds in lengths.items():
+            if seconds != length:
+                raise ConfigurationError(
+                    f"lasts {duration(seconds)}, but {first} lasts {duration(length)}: all runs in "
+                    "a table must have the same length", key=name,
+                )
         return make_frame([
             {"controller": name, **result.metrics} for name, result in self.results.items()
         ])

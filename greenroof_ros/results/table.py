@@ -9,14 +9,10 @@ from __future__ import annotations
 import csv
 import io
 import json
-import math
 from collections.abc import Iterable, Mapping, Sequence
 from datetime import datetime, timedelta
-from pathlib import Path
 from typing import Any, TypeVar
 
-from greenroof_ros.base.errors import ConfigurationError
-from greenroof_ros.base.files import read_text
 from greenroof_ros.physics.storm_water import Event
 from greenroof_ros.results.metrics import METRICS
 
@@ -29,7 +25,6 @@ EventRow = dict[str, Any]
 """an event: ``start``, with its offset from UTC, and the fields of an :class:`.Event`"""
 
 _EVENT_COLUMNS = ("start", *Event._fields)
-_MAY_BE_NONE = ("peak_delay_min",)
 
 Cell = TypeVar("Cell")
 
@@ -61,9 +56,7 @@ def summary_columns(summary: Mapping[str, Any]) -> dict[str, Any]:
         "frost_hours": summary.get("frost_hours"),
         "precipitation_in_frost_mm": summary.get("precipitation_in_frost_mm"),
         "filled_hours": summary.get("filled_hours"),
-        "weather_notes": "; ".join(
-            (*(summary.get("notes") or ()), *(summary.get("weather_notes") or ()))
-        ),
+        **{name: "; ".join(summary.get(name) or ()) for name in ("notes", "weather_notes")},
     }
 
 
@@ -107,44 +100,3 @@ def format_events(rows: Sequence[Mapping[str, Any]]) -> str:
     return format_csv(
         _EVENT_COLUMNS, ({**row, "complete": json.dumps(row["complete"])} for row in rows)
     )
-
-
-def read_events(file: Path) -> list[EventRow]:
-    """Read the rain events in a file ``events.csv``.
-
-    Raises:
-        ConfigurationError: if the file is damaged, or is not a table of rain events.
-    """
-    rows = list[EventRow]()
-    table = csv.DictReader(io.StringIO(read_text(file)), restkey="", restval="?")
-    if tuple(table.fieldnames or ()) != _EVENT_COLUMNS:
-        raise ConfigurationError(
-            f"must have the columns {', '.join(_EVENT_COLUMNS)}; repeat the run", file=file, line=1
-        )
-    for cells in table:
-        try:
-            rows.append(check_event({
-                name: cell if name == "start" else json.loads(cell) if cell else None
-                for name, cell in cells.items()
-            }))
-        except (TypeError, ValueError) as error:
-            raise ConfigurationError(
-                "is not a valid rain event; repeat the run", file=file, line=table.line_num
-            ) from error
-    return rows
-
-
-def check_event(row: EventRow) -> EventRow:
-    """Check a row from a file, which can have any content, and return the row.
-
-    Raises:
-        TypeError, ValueError: if the row is not an event, which consists of a time, finite numbers
-        and Booleans. Only values that can be unknown may be missing.
-    """
-    if row.keys() != set(_EVENT_COLUMNS):
-        raise ValueError
-    datetime.fromisoformat(row["start"])
-    known = {name for name in Event._fields if row[name] is not None or name not in _MAY_BE_NONE}
-    if not all(math.isfinite(row[name]) for name in known):
-        raise ValueError
-    return row

@@ -11,11 +11,7 @@ import vl_convert
 from markupsafe import Markup
 
 from greenroof_ros.analysis.figures import CONFIG, Figure, Rows
-from greenroof_ros.analysis.report.groups import Report
-from greenroof_ros.analysis.report.tables import Table, make_notes, make_tables
-from greenroof_ros.base.parameter import parameters_of
 from greenroof_ros.results.versions import format_versions, versions
-from greenroof_ros.site.site import Site
 
 
 def make_page(package: str, figures: Sequence[Figure], **values: object) -> str:
@@ -37,38 +33,6 @@ def make_page(package: str, figures: Sequence[Figure], **values: object) -> str:
         "figures": figures, "versions": format_versions(versions()), "library": _library(),
         "payload": payload(figures), "folded": False, **values,
     })
-
-
-def render(report: Report, figures: Sequence[Figure]) -> str:
-    """Return the page.
-
-    Args:
-        report: the results.
-        figures: figures in the order in which they appear.
-    """
-    alarms = [
-        {**({"run": run.name} if len(report.runs) > 1 else {}), **alarm}
-        for run in report.runs for alarm in run.alarms
-    ]
-    return make_page(
-        __package__, figures,
-        report=report,
-        tables=make_tables(report),
-        notes=make_notes(report),
-        alarms=alarms,
-        sites={run.row["site"]: _parameters(run.site) for run in report.runs},
-        texts=("case", "from", "window", "ended", "until", "level", "what", "follows from", "error",
-               "unit", "meaning"),
-        folded=True, warnings=(),
-    )
-
-
-def _parameters(site: Site) -> Table:
-    """Return the parameters of a site as a table."""
-    return [
-        {"symbol": known.name, "value": str(value), "unit": known.unit, "meaning": known.meaning}
-        for known in parameters_of(Site) if (value := getattr(site, known.name)) is not None
-    ]
 
 
 # Scripts and JSON are not HTML: each is escaped here in its own way.

@@ -93,11 +93,10 @@ def add_samples(
 def compute_results(
     site: Site, trajectory: Trajectory, not_recorded: Collection[str] = (),
     without_rain: float = math.inf,
-) -> tuple[dict[str, float], list[Event]]:
-    """Return the metrics and the rain events of a recorded run.
+) -> dict[str, float]:
+    """Return the metrics of a recorded run, without those that need more than was recorded.
 
-    The metrics that need more than was recorded are left out. Without the discharge, there are no
-    events. A time without samples of more than a year, as after a clock was set, counts as less
+    A time without samples of more than a year, as after a clock was set, counts as less
     than a day.
 
     Args:
@@ -131,7 +130,7 @@ def compute_results(
     layer = add_all(p, sums, events, samples, new_day, site.initial_layer, without_rain)
     last = State(float(samples.cistern[-1]), float(samples.roof[-1]), layer)
     known = [math.nan if place in unknown else float(each) for place, each in enumerate(sums)]
-    metrics, rain_events = end_run(site, known, events, last)
+    metrics = end_run(site, known, events, last).metrics
     if {"precipitation", "drainage"} & {*not_recorded}:
         metrics.pop("roof_retention_share", None)
-    return metrics, [] if s.DISCHARGE in unknown else rain_events
+    return metrics

@@ -5,54 +5,34 @@ from __future__ import annotations
 import csv
 import hashlib
 import io
-import math
-import sys
-from collections.abc import Callable, Container, Iterable, Mapping, Sequence
+import json
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from datetime import datetime
 from functools import cache
 from pathlib import Path
 
-from greenroof_ros.analysis.report.bags import read_run, run_directory
-from greenroof_ros.analysis.report.run import ReportedRun, Row, read_about
-from greenroof_ros.base.errors import ConfigurationError
-from greenroof_ros.base.files import read_text
-from greenroof_ros.physics.sensor_and_pump import PARAMETERS
-from greenroof_ros.results.metrics import METRICS
-from greenroof_ros.results.table import (
-    EVENTS,
-    find_differing_keys,
-    format_exactly,
-    row_parameters,
+from greenroof_ros.analysis.report.bags import (
+    ReportedRun,
+    Row,
+    read_about,
+    read_run,
+    run_directory,
 )
+from greenroof_ros.base.errors import ConfigurationError
+from greenroof_ros.base.files import read_text, read_yaml
+from greenroof_ros.base.text import number_of
+from greenroof_ros.results.metrics import METRICS
+from greenroof_ros.results.table import find_differing_keys, format_exactly, row_parameters
 from greenroof_ros.results.trajectory import TRAJECTORY
 from greenroof_ros.site.file import read_site
 
 _NEEDED = {
-    "run", "site", "start", "hours", "evapotranspiration", "controller", "initial", "cistern_m3",
-    "roof_m3", "status", "error", "total_deviation_m3", "window", "case", "season",
+    "run", "site", "start", "hours", "controller", "initial", "cistern_m3", "roof_m3", "status",
+    "error", "window", "case", "season",
 }
-_NUMBERS = (
+_NUMBERS = {
     "hours", "cistern_m3", "roof_m3", "fallbacks", "filled_hours", "frost_hours", "bound_m3",
-    "bound_wet_discharge_m3", "bound_mains_m3", *PARAMETERS, *(metric.name for metric in METRICS),
-)
-
-
-def _read_number(cell: str, low: float = -sys.float_info.max) -> float:
-    """Return a number that is finite and not below a limit."""
-    if not low <= (number := float(cell)) < math.inf:
-        raise ValueError
-    return number
-
-
-# How a column of a study's table is read; the other columns are text.
-_READ: dict[str, Callable[[str], object]] = {
-    **dict.fromkeys(_NUMBERS, lambda cell: _read_number(cell) if cell else None),
-    **dict.fromkeys(
-        ("hours", "total_deviation_m3", "bound_m3"),
-        lambda cell: _read_number(cell, 0.0) if cell else None,
-    ),
-    "start": lambda cell: datetime.fromisoformat(cell).isoformat() if cell else "",
+    "bound_wet_discharge_m3", "bound_mains_m3", *(metric.name for metric in METRICS),
 }
 
 
@@ -62,13 +42,15 @@ class Sources:
 
     Attributes:
         runs: runs with results.
-        failed: runs without results, each a row for a table.
-        configuration: name and text of every other file that affects the results.
+        failed: runs without results: run, case, and reason.
+        read: sentences on what was read.
+        show: metrics that the first study asks for.
     """
 
     runs: list[ReportedRun] = field(default_factory=list)
-    failed: list[dict[str, str]] = field(default_factory=list)
-    configuration: dict[str, str] = field(default_factory=dict)
+    failed: list[tuple[str, str, str]] = field(default_factory=list)
+    read: list[str] = field(default_factory=list)
+    show: list[str] = field(default_factory=list)
 
 
 def find_runs(
@@ -85,49 +67,38 @@ def find_runs(
 
     Raises:
         ConfigurationError: if a path is not a study directory, a run directory or a bag, if its
-            content is invalid, if two paths have the same name, or if no run has results.
+            content is invalid, or if no run has results.
     """
-    named: dict[str, Path] = {}
-    for path in paths:
+    sources, single = Sources(), dict[Path, ReportedRun]()
+    for number, path in enumerate(paths):
+        show(f"reading {path}", number / len(paths))
         if not path.is_dir() and not (path.is_file() and path.suffix.lower() == ".mcap"):
             raise ConfigurationError(
                 "must be the directory of a study, a run or a bag, or an .mcap file"
                 if path.exists() else "does not exist", file=path,
             )
-        name = run_directory(path).resolve().name
-        if name in named:
-            raise ConfigurationError(
-                f"{named[name]} and {path} have the same name, {name}: list each path only once, "
-                "or rename one of the directories"
-            )
-        named[name] = path
-    sources, single = Sources(), dict[Path, ReportedRun]()
-    for number, path in enumerate(paths):
-        show(f"reading {path}", number / len(paths))
-        name = run_directory(path).resolve().name
         if (path / "results.csv").is_file():
             if site_file is not None:
                 raise ConfigurationError(
-                    f"applies only to bags, but {path} is a study, which has its own "
-                    "sites", key="--site"
+                    f"applies only to bags, but {path} is a study, which has its own sites",
+                    key="--site",
                 )
-            _read_study(path, f"{name}/" if len(paths) > 1 else "", sources)
+            _read_study(path, f"{path}/" if len(paths) > 1 else "", sources)
             continue
         try:
             single[path] = read_run(path, site_file)
+            sources.read.append(f"{path}: one run")
         except ConfigurationError as error:
             if not read_about(run_directory(path)).ending:
                 raise
-            sources.failed.append(
-                {"run": name, "case": "", "from": "", "window": "", "error": str(error)}
-            )
+            sources.failed.append((run_directory(path).resolve().name, "", str(error)))
     _name_by_difference(single)
     sources.runs += single.values()
     if not sources.runs:
-        first = sources.failed[0]
+        run, _, reason = sources.failed[0]
         raise ConfigurationError(
             f"there is no finished run; {len(sources.failed)} failed or did not run. For example, "
-            f"{first['run']} {first['error']}"
+            f"{run} {reason}"
         )
     return sources
 
@@ -137,104 +108,82 @@ def _name_by_difference(runs: Mapping[Path, ReportedRun]) -> None:
 
     Runs whose windows have the same name share the window, unless their files differ.
     """
-    windows = dict[str, tuple[object, ...]]()
+    windows, cases = dict[str, tuple[object, ...]](), set[tuple[str, ...]]()
     apart = find_differing_keys([row_parameters(run.row) for run in runs.values()])
     for path, run in runs.items():
-        row = run.row
+        row, given = run.row, row_parameters(run.row)
         weather = sorted((run_directory(path) / "configuration" / "weather").glob("*"))
-        digests = [hashlib.sha256(file.read_bytes()).digest() for file in weather]
-        identity = (run.site, row["cistern_m3"], row["roof_m3"], *digests)
+        identity = (run.site, row["cistern_m3"], row["roof_m3"], *map(_digest, weather))
         if windows.setdefault(row["window"], identity) != identity:
-            row["window"] += f" ({run.name})"
-        given = row_parameters(row)
-        shown = [f"{key} {_text(given[key])}" for key in apart if key in given]
-        row["case"] = " ".join([row["controller"], *shown])
-    cases = [(run.row["window"], run.row["initial"], run.row["case"]) for run in runs.values()]
-    for run, case in zip(runs.values(), cases, strict=True):
-        if cases.count(case) > 1:
-            run.row["case"] += f" ({run.name})"
+            row["window"] += f" ({path})"
+        row["case"] = " ".join([row["controller"], *(
+            f"{key} {format_exactly(given[key]) if isinstance(given[key], float) else given[key]}"
+            for key in apart if key in given
+        )])
+        if (case := (row["window"], row["initial"], row["case"])) in cases:
+            row["case"] += f" ({path})"
+        cases.add(case)
 
 
-def _text(value: object) -> str:
-    return format_exactly(value) if isinstance(value, float) else str(value)
+def _digest(*files: Path) -> str:
+    """Return the first digits of the SHA-256 of some files, which identify them."""
+    content = b"".join(file.read_bytes() for file in files)
+    return hashlib.sha256(content).hexdigest()[:12]
 
 
 def _read_study(path: Path, prefix: str, sources: Sources) -> None:
     """Add the runs of a study, with a prefix added to their names and windows."""
-    configuration, sites = path / "configuration", set[str]()
+    configuration, weather = path / "configuration", path / "configuration" / "weather.yaml"
     read = cache(read_site)  # hundreds of runs can share a file
-    for row in _read_results(path / "results.csv"):
-        directory = path / "runs" / row["run"]
-        trajectory, events = directory / TRAJECTORY, directory / EVENTS
+    rows = _read_results(path / "results.csv")
+    for row in rows:
+        trajectory = path / "runs" / row["run"] / TRAJECTORY
         row |= {"run": prefix + row["run"], "window": prefix + row["window"]}
         if row["status"] == "done":
-            sites.add(row["site"])
             sources.runs.append(ReportedRun(
                 site=read(configuration / row["site"]), row=row,
                 kept=trajectory if trajectory.exists() else None,
-                kept_events=events if events.exists() else (),
             ))
         else:
-            sources.failed.append({
-                "run": row["run"], "case": row["case"], "from": row["initial"],
-                "window": row["window"], "error": row["error"] or row["status"],
-            })
-    for further in sorted(configuration.glob("*")):
-        # Sites have their own table. Weather files are long, and are named with every run.
-        if further.suffix in (".json", ".yaml") and further.name not in sites:
-            sources.configuration[prefix + further.name] = read_text(further)
+            case = ", ".join([row["case"], row["initial"], row["window"]])
+            sources.failed.append((row["run"], case, row["error"] or row["status"]))
+    inputs = [file for file in sorted(configuration.glob("*")) if file != weather]
+    sources.read.append(
+        f"{path}: {number_of(len(rows), 'run')}, results.csv {_digest(path / 'results.csv')}; "
+        f"{number_of(len(inputs), 'input file')}, {_digest(*inputs)} (SHA-256 of all)"
+    )
+    if weather.is_file():
+        for name, lines in read_yaml(weather).items():
+            sources.read += [f"{name}: {line}" for line in lines]
+    study = configuration / "study.json"
+    asked = json.loads(read_text(study)).get("show", []) if study.is_file() else []
+    sources.show = sources.show or asked
 
 
 def _read_results(file: Path) -> list[Row]:
     """Return the rows of a study's table; an empty cell of a numeric column becomes None.
 
     Raises:
-        ConfigurationError: if the file is not a study's table, is truncated, or contains an invalid
-            value.
+        ConfigurationError: if the file is not a study's table, or is damaged.
     """
-    text = read_text(file)
-    table = csv.DictReader(io.StringIO(text), restkey="", restval=None)
-    missing = _NEEDED - set(table.fieldnames or ())
-    if missing:
+    table = csv.DictReader(io.StringIO(read_text(file)), restkey="further cells", restval="cut")
+    if missing := _NEEDED - set(table.fieldnames or ()):
         raise ConfigurationError(
             f"has no column {', '.join(sorted(missing))}; if it is the results.csv of a study, "
             "repeat the command greenroof study, which writes the table again", file=file, line=1,
         )
-    if not text.endswith("\n"):
-        raise ConfigurationError(
-            "ends in the middle of a line; copy the table again", file=file,
-            line=text.count("\n") + 1,
-        )
-    rows = dict[str, Row]()
+    rows = list[Row]()
     for cells in table:
-        for column, cell in cells.items():
+        row: Row = dict(cells)
+        for column in _NUMBERS.intersection(cells):
             try:
-                if not isinstance(cell, str):
-                    raise ValueError("there is one cell too many or too few")
-                cells[column] = _READ.get(column, str)(cell)
+                row[column] = float(cells[column]) if cells[column] else None
             except ValueError as error:
                 raise ConfigurationError(
-                    "is not a valid value; copy the table again", file=file, line=table.line_num,
-                    key=column, value=cell,
+                    "is not a number; copy the table again", file=file, line=table.line_num,
+                    key=column, value=cells[column],
                 ) from error
-        for column, damage in _find_damage(cells, rows):
-            raise ConfigurationError(
-                f"{damage}; copy the table again", file=file, line=table.line_num, key=column,
-                value=cells[column],
-            )
-        rows[cells["run"]] = cells
+        rows.append(row)
     if not rows:
         raise ConfigurationError("contains a header but no runs", file=file)
-    return list(rows.values())
-
-
-def _find_damage(row: Row, earlier: Container[str]) -> Iterable[tuple[str, str]]:
-    """Yield the columns with values that no study writes, each with the rule that it breaks."""
-    if not row["run"].strip(".") or "/" in row["run"] or row["run"] in earlier:
-        yield "run", "must be the name of a directory under runs/, and must appear in one row only"
-    if row["status"] not in ("done", "failed", "not run"):
-        yield "status", "must be done, failed or not run"
-    if row["status"] == "done":
-        empty = [column for column in row if row[column] in ("", None)]
-        for column in (_NEEDED - {"error", "season"}).intersection(empty):
-            yield column, "must not be empty, because the run is done"
+    return rows

@@ -17,39 +17,22 @@ from refusals import refusal
 from greenroof_ros.analysis.report.sources import find_runs
 
 
-def bag(**changes: Any) -> Callable[[Path], Any]:
-    """Return what writes a bag with other values."""
-    return lambda at: small_bag(at, **changes)
-
-
 def topics(*names: str, **options: str) -> Callable[[Path], Any]:
     """Return what writes a bag with these topics."""
     return lambda at: write_bag(at, dict.fromkeys(names, ([0, 1], [0.5, 0.6])), **options)
 
 
-def study(change: Callable[[str], str]) -> Callable[[Path], Any]:
-    """Return what writes a study with a changed table."""
+def replaced(old: str, new: str) -> Callable[[Path], Any]:
+    """Return what writes a study with another text in its table."""
 
     def make(at: Path) -> None:
         example = simulate("onoff", "0.5", "low-low", "0.01")
         file = write_study(at, [(example.row, example.trajectory)]) / "results.csv"
         text = file.read_text()
-        assert change(text) != text
-        file.write_text(change(text))
+        assert old in text
+        file.write_text(text.replace(old, new))
 
     return make
-
-
-def replaced(old: str, new: str) -> Callable[[Path], Any]:
-    """Return what writes a study with another text in its table."""
-    return study(lambda text: text.replace(old, new))
-
-
-def with_cells(**cells: object) -> Callable[[Path], Any]:
-    """Return what writes a study whose only run has other values."""
-    return lambda at: write_study(
-        at, [({**simulate("onoff", "0.5", "low-low", "0.01").row, **cells}, None)]
-    )
 
 
 def unfinished_bag(at: Path) -> None:
@@ -63,36 +46,17 @@ WRONG: dict[str, tuple[Callable[[Path], Any], str]] = {
     "nothing-there": (lambda at: None, "in: does not exist"),
     "an-empty-directory": (Path.mkdir, "results.csv.*metadata.yaml"),
     "unfinished": (unfinished_bag, "in: has no metadata.yaml: .*greenroof recover"),
-    "foreign-topics": (
-        topics("/scan"), "lacks .*/cistern/level.*/pump/flow.*topics in the bag are: /scan",
+    "foreign-topics": (topics("/scan"), "lacks .*/cistern/level.*/pump/flow.*: /scan"),
+    "one-sample": (
+        lambda at: small_bag(at, **{name: [0.01] for name in NEEDED}), "two samples.*not 1"
     ),
-    "one-sample": (bag(**{name: [0.01] for name in NEEDED}), "two samples.*not 1"),
     "float32": (
         topics(*(f"/{name.replace('_', '/')}" for name in NEEDED), msgtype="std_msgs/msg/Float32"),
-        "of type std_msgs/msg/Float64, not std_msgs/msg/Float32",
+        "not std_msgs/msg/Float32",
     ),
-    "another-table": (
-        study(lambda text: text.replace(",season,", ",of,")),
-        "results.csv, line 1: has no column season.* repeat the command greenroof study",
-    ),
+    "another-table": (replaced(",season,", ",of,"), "results.csv, line 1: has no column season"),
     "no-finished-run": (replaced(",done,", ",failed,"), "no finished run; 1 failed or did not run"),
-    "row-too-short": (study(lambda text: text[:-20] + "\n"), "line 2: .*not a valid value"),
-    "row-cut": (study(lambda text: text[:-2]), "results.csv, line 2: ends in the middle of a line"),
-    "a-row-twice": (
-        study(lambda text: text + text.splitlines()[1] + "\n"), "results.csv, line 3: run = '001'"
-    ),
-    "run-outside": (replaced("\n001,", "\n../001,"), "line 2: run = '../001': must be the name"),
-    "status": (replaced(",done,", ",lost,"), "line 2: status = 'lost': must be done, failed or"),
-    "no-total": (with_cells(total_deviation_m3=""), "total_deviation_m3: must not be empty"),
-    "total-nan": (with_cells(total_deviation_m3="nan"), "total_deviation_m3 = 'nan': is not a"),
-    "bound-below-0": (with_cells(bound_m3="-1"), "bound_m3 = '-1': is not a valid value"),
-    "volume-a-word-after-an-error-of-two-lines": (
-        study(
-            lambda text: text.replace(",done,,", ',done,"a\nb",')
-            + text.splitlines()[1].replace(",57.69", ",much57.69") + "\n"
-        ),
-        "results.csv, line 4: cistern_m3 = 'much57.69",
-    ),
+    "no-number": (replaced(",57.69", ",much57.69"), "line 2: cistern_m3 = 'much57.69"),
 }
 
 
@@ -116,17 +80,15 @@ def test_sites(tmp_path: Path) -> None:
 
 
 def test_command(tmp_path: Path) -> None:
-    """Exit code 2, one line, no traceback, nothing written."""
+    """Exit code 2, no traceback, nothing written."""
     small_bag(tmp_path / "in")
-    (tmp_path / "mine" / "figures").mkdir(parents=True)
-    (tmp_path / "mine" / "figures" / "mine.svg").touch()
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "mine.svg").touch()
     before = sorted(tmp_path.rglob("*"))
     done = command("in", "--output", "mine", cwd=tmp_path)
     assert done.returncode == 2, done.stderr
     assert "Traceback" not in done.stderr and done.stdout == ""
-    message = done.stderr.partition("error:")[2].strip()
-    assert "--output = 'mine': contains figures/mine.svg, which is not part of a" in message
-    assert "\n" not in message
+    assert "--output = 'mine'" in done.stderr and "mine.svg" in done.stderr
     assert sorted(tmp_path.rglob("*")) == before
 
 

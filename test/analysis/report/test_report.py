@@ -1,147 +1,156 @@
-"""Reports of studies: exact results, cases, the data of each figure, and the command."""
+"""Reports of studies: cases and their order, means and ranges by hand, figures, the command."""
 
 from __future__ import annotations
 
-import json
+import shutil
 import struct
 from pathlib import Path
+from typing import Any
 
-import numpy as np
-import pytest
-from inputs import (
-    Simulated,
-    command,
-    figures_of,
-    report_of,
-    seeded_rows,
-    simulate,
-    study_of,
-    write_study,
-)
+from inputs import command, figures_of, report_of, seeded_rows, simulate, study_of, write_study
+from places import CONFIG
+from refusals import refusal
+from studies import record, run_here
 
-from greenroof_ros.analysis.report.groups import TOTAL
-from greenroof_ros.analysis.report.tables import make_notes, make_tables
-from greenroof_ros.analysis.report.trajectories import MAX_POINTS
+from greenroof_ros.analysis.report.cases import BOUND, TOTAL
+from greenroof_ros.analysis.report.contents import answer, make_full_table, make_notes, make_table
+
+YEARS = range(2015, 2026)
+ONOFF = {year: 100.0 + 10 * (year - 2015) for year in YEARS}
 
 
-@pytest.fixture(scope="module")
-def simulated() -> list[Simulated]:
-    """Two settings of each controller from two initial states."""
+def rows(case: str, seed: int | None, totals: dict[int, float], **more: Any) -> list[Any]:
+    """Return runs of 16 days, one for each year."""
+    forecast: dict[str, Any] = {"forecast": "perfect"}
+    if seed is not None:
+        forecast = {"forecast": "errors", "forecast_skill": "real", "forecast_seed": seed}
     return [
-        simulate(controller, option, initial)
-        for initial in ("low-low", "high-low")
-        for controller, options in (("mpc", ("0.00001", "0.001")), ("onoff", ("0.5", "2")))
-        for option in options
+        {
+            "site": "site.yaml", "weather": f"{year}.csv", "start": f"{year}-05-01T00:00:00-05:00",
+            "hours": 384.0, "evapotranspiration": "fao56", **forecast, "controller": "onoff",
+            "initial": "low-low", "cistern_m3": 57.7, "roof_m3": 2.4, "status": "done",
+            TOTAL: total, "near_target_hours": 96.0, "mains_m3": 2.0 + (seed or 0),
+            "bound_m3": 50.0, "window": "May", "season": "from 01 May", "case": case, **more,
+        }
+        for year, total in totals.items()
     ]
 
 
-def test_what_follows_from_results(tmp_path: Path) -> None:
-    """By hand: storage and unexplained volume; the last sample counts for a tick."""
-    row = {
-        **simulate("onoff", "0.5", "low-low").row, "cistern_m3": 60.0, "roof_m3": 2.0,
-        "final_cistern_m3": 55.0, "final_roof_m3": 3.5, "rain_cistern_m3": 1.0, "pumped_m3": 4.0,
-        "outflow_m3": 2.5, "rain_roof_m3": 0.5, "evapotranspiration_m3": 2.0, "drainage_m3": 0.75,
-        "electric_energy_kwh": 2.0, "near_target_hours": 0.1, "hours": 0.2, "bound_m3": 100.0,
-        "max_command": 2.0, "fallbacks": 3, "excess_starts": 11, TOTAL: 150.0,
-    }
-    report = study_of(tmp_path / "study", row)
-    judged = report.cases[0].row
-    assert (judged["cistern_change_m3"], judged["roof_change_m3"]) == (-5, 1.5)
-    assert judged["cistern_residual_m3"] == pytest.approx(-5 - (1 - 4 - 2.5))
-    assert judged["roof_residual_m3"] == pytest.approx(1.5 - (0.5 + 4 - 2 - 0.75))
-    assert judged["ratio"] == 1.5
-    # A single run has a row for each quantity; what no real pump achieves is marked.
-    shown = {cell[""]: cell["value"] for rows in make_tables(report).values() for cell in rows}
-    assert shown["relative to the minimum possible (1)"] == "1.5000"
-    assert shown["maximum command (1)"] == "2 ⚠"
-    assert {"001: 3", "001: 11"} <= {
-        listed for runs in make_notes(report).values() for listed in runs
-    }
+def test_means_by_hand(tmp_path: Path) -> None:
+    """Over years, in each over its seeds; ranges over all runs; the better case first."""
+    lower = {year: total - 20 for year, total in ONOFF.items()}
+    onoff = rows("on/off", None, ONOFF)
+    onoff[0]["roof_retention_share"], onoff[1]["roof_retention_share"] = 0.5, 0.75
+    report = study_of(
+        tmp_path / "study", *onoff, *rows("other", 1, ONOFF), *rows("other", 2, lower)
+    )
+    table = make_table(report)
+    assert table.headings() == [
+        "case", "total deviation (m³)", "runs", "difference from on/off (m³)",
+        "years in which it is better",
+    ]
+    assert table.texts() == [
+        ["other", "140 (80 to 200)", "22", "-10", "11 of 11"],
+        ["on/off", "150 (100 to 200)", "11", "", ""], [BOUND, "50", "", "", ""],
+    ]
+    assert table.marked == {0}
+    # The mean is over years with a share; without one there is no number.
+    full = {name: texts for name, *texts in make_full_table(report).texts()}  # type: ignore[union-attr]
+    assert full["retention of the roof (%)"] == ["none", "62 (50 to 75)"]
+    assert answer(report) == (
+        "Best by total deviation: other. Means: total deviation 140 (80 to 200) m³. With on/off: "
+        "total deviation 150 (100 to 200) m³."
+    )
+    assert list(figures_of(report)) == ["comparison", "seasons"]
 
 
-def test_figures_of_a_study(tmp_path: Path, simulated: list[Simulated]) -> None:
-    """Lines from samples, totals at each setting with their bound."""
-    bounds = {"low-low": 200.0, "high-low": 100.0}
-    report = report_of(write_study(tmp_path / "study", [
-        ({**example.row, "bound_m3": bounds[example.row["initial"]]}, example.trajectory)
-        for example in simulated
-    ]))
-    figures = figures_of(report)
-    # Four lines in each panel.
-    assert list(figures) == ["deviation-1", "water-1", "flows-1", "water-2", "flows-2"]
-    for example in simulated[:4]:
-        name = example.row["controller"]
-        key = "weight" if name == "mpc" else "fraction"
-        label = f"{name} {key} {example.row[f'parameter:{key}']}"
-        for figure, quantity, factor in (
-            ("water", "roof", 1000 / 68.8), ("water", "cistern", 1 / 25.0),
-            ("flows", "command", 1.0), ("flows", "pump_flow", 1000.0),
-        ):
-            rows = figures[f"{figure}-1"].data[f"{quantity}-1"]
-            rows = [row for row in rows if row["controller"] == label]
-            values = factor * getattr(example.trajectory, quantity)
-            if figure == "flows":
-                values = np.append(values[:-1], values[-2])  # the last is not applied, nor drawn
-            assert 100 < len(rows) <= MAX_POINTS
-            ticks = [round((row["t"] - rows[0]["t"]) / 1000) for row in rows]
-            assert [row["v"] for row in rows] == pytest.approx(values[ticks], rel=1e-6, abs=1e-12)
-            assert max(row["v"] for row in rows) == pytest.approx(values.max(), rel=1e-6)
-    totals = [row["v"] for rows in figures["deviation-1"].data.values() for row in rows]
-    assert totals == pytest.approx([example.row[TOTAL] for example in simulated], rel=1e-6)
-    for panel, bound in zip(figures["deviation-1"].panels, (200.0, 100.0), strict=True):
-        assert [{"v": bound}] in panel.sized().to_dict()["datasets"].values()
+def test_a_study_shows_what_it_asks(tmp_path: Path) -> None:
+    """By default the wet-weather discharge, with all that reaches the sewer, and mains water.
+
+    A study can ask for something else; more is better for some metrics.
+    """
+    results = {"discharge_m3": 80.0, "retention_share": 0.27}
+    runs = [
+        *rows("closed", None, {2020: 1.0, 2021: 1.0}, wet_discharge_m3=30.0, **results),
+        *rows("drain", None, {2020: 2.0, 2021: 2.0}, wet_discharge_m3=10.0, **results),
+        *rows("worse", None, {2020: 2.0}, wet_discharge_m3=40.0, near_target_hours=99.0),
+    ]
+    for run, mains in zip(runs, (2.0, 2.0, 6.0, 8.0, 9.0), strict=True):
+        run |= {"mains_m3": mains, "bound_wet_discharge_m3": 8.0, "bound_mains_m3": 5.0}
+    study_of(tmp_path / "study", *runs)
+    shutil.copy(CONFIG / "site_valve.yaml", tmp_path / "study" / "configuration" / "site.yaml")
+    report = report_of(tmp_path / "study")
+    table = make_table(report)
+    assert table.headings()[:5] == [
+        "case", "discharge in wet weather (m³)", "discharge (m³)", "retention (%)",
+        "mains water used (m³)",
+    ]
+    assert [texts[:5] for texts in table.texts()] == [
+        ["drain", "10", "80", "27", "7 (6 to 8)"], ["closed", "30", "80", "27", "2"],
+        ["worse", "40", "none", "none", "9"], [BOUND, "8", "", "", "5"],
+    ]
+    assert table.marked == {0, 1}
+    asked = tmp_path / "study" / "configuration" / "study.json"
+    asked.write_text('{"show": ["near_target_hours"]}')
+    report = report_of(tmp_path / "study")
+    assert [name for name, *_ in make_table(report).texts()] == ["worse", "closed", "drain"]
+    asked.write_text('{"show": ["nothing"]}')
+    refusal(report_of, tmp_path / "study", match="show = 'nothing'")
 
 
 def test_seeds_belong_together(tmp_path: Path) -> None:
-    """A case of 25 seeds: their mean and worst, by hand.
-
-    The runs of another that failed are counted, and a perfect forecast is a case of one.
-    """
-    rows = seeded_rows(simulate("onoff", "0.5", "low-low").row)
-    rows[0] |= {"status": "failed", "error": "no solution", TOTAL: ""}
-    report = study_of(tmp_path / "study", *rows)
-    assert len(report.cases) == 24
-    tables = make_tables(report)
-    (cells,) = [
-        row for row in tables["Over seeds and years"]
-        if row["case"] == "onoff fraction 0.5 skill none" and row["from"] == "low-low"
-        and "07-07" in row["window"]
+    """A case of 25 seeds in each of four places: mean and range by hand."""
+    seeded = seeded_rows(simulate("onoff", "0.5", "low-low").row)
+    seeded[0] |= {"status": "failed", "error": "no solution", TOTAL: ""}
+    report = study_of(tmp_path / "study", *seeded)
+    assert (len(report.cases), len(report.places), len(report.sources.failed)) == (24, 4, 1)
+    (text,) = (
+        texts for texts in make_table(report).texts()
+        if texts[0] == "onoff fraction 0.5 skill none" and "from low-low" in texts[1]
+        and "07-07" in texts[1]
+    )
+    assert text[2:] == ["1013 (1001 to 1025)", "25"]
+    assert "in 4 of 4 comparisons" in answer(report)
+    assert isinstance(make_full_table(report), str)
+    (note,) = (note for note in make_notes(report) if "solver" in note)
+    assert note.endswith("up to 25 (599 of 599 runs)")
+    (panel, *_) = figures_of(report)["comparison"].panels
+    shown = panel.chart.to_dict()["datasets"]
+    assert {"case": "onoff fraction 0.5 skill none", "x": 1013, "x_low": 1001, "x_high": 1025} in [
+        row for data in shown.values() for row in data
     ]
-    assert list(cells.values())[3:] == ["25", "1013.00", "1025.00"]
-    assert tables["Over seeds and years"][0]["runs"] == "24, 1 failed ⚠"
-    shown = next(row for row in tables["Results"] if row["case"] == cells["case"])
-    assert shown["relative to the minimum possible (1)"] == "2.0260"
-    figure = figures_of(report)["deviation-1"]
-    assert {
-        (row["v"], row["low"], row["high"])
-        for row in figure.data["deviation-1-1"] if row["case"] == cells["case"]
-    } == {(1013, 1001, 1025)}
-    # A case without its bound in one run has no ratio.
-    for row in rows[:3]:
-        row["bound_m3"] = ""
-    report = study_of(tmp_path / "other", *rows)
-    assert report.cases[0].row["ratio"] is None and report.cases[1].row["ratio"] is not None
 
 
-def test_any_controller_with_any_parameters(tmp_path: Path) -> None:
-    """With numbers and words, or without any; more lines than colours are drawn apart."""
-    example = simulate("mpc", "0.001", "low-low", "0.01")
-    report = report_of(write_study(tmp_path / "study", [
-        ({**example.row, "parameter:weight": "", "controller": name, "case": case},
-         example.trajectory)
-        for name, case in (("mine", "mine"), *(("mpc", f"mpc {number}") for number in range(7)))
-    ]))
-    assert [name for name in figures_of(report) if "water" in name] == [
-        "water-1-mine", "water-1-mpc"
-    ]
-    assert report.cases[0].label == "mine"
+def test_what_no_real_pump_achieves_is_marked(tmp_path: Path) -> None:
+    row = {**simulate("onoff", "0.5", "low-low").row, "max_command": 2.0}
+    texts = dict(make_full_table(study_of(tmp_path / "study", row)).texts())  # type: ignore[union-attr]
+    assert texts["maximum command"] == "2 ⚠"
 
 
-# --- the command ---------------------------------------------------------------------------------
+def test_a_study_of_seasons(tmp_path: Path) -> None:
+    """A case has the seeds of its forecasts in every year."""
+    record(tmp_path / "record", (2015, 2016))
+    run_here(tmp_path / "record", """
+site: {file: site.yaml, tau: 600.0}
+weather:
+  - {file: "{year}_*.csv", start: "{year}-05-01T00:00", year: {from: 2015, to: 2016}, hours: 192,
+     evapotranspiration: fao56}
+bound_block: 0
+forecast: {model: errors, skill: real, seed: {from: 1, to: 2}}
+initial: low-low
+controllers:
+  onoff: {forecast: perfect}
+  mpc: {weight: 0.01}
+""")
+    report = report_of(tmp_path / "record" / "out")
+    assert list(figures_of(report)) == ["comparison", "seasons"]
+    assert sorted(len(case.runs) for case in report.cases) == [2, 4]
+    for case in report.cases:
+        assert [*case.years] == [2015, 2016]
 
 
-def test_study(tmp_path: Path) -> None:
-    """A page, each figure twice, the failed runs with their errors, and where the page is.
+def test_the_command(tmp_path: Path) -> None:
+    """A page, each figure twice, the runs without results with their errors.
 
     A previous report is replaced.
     """
@@ -157,14 +166,9 @@ def test_study(tmp_path: Path) -> None:
     assert str(report / "report.html") in done.stdout
     assert "failed or were not started: 2" in done.stdout
     text = (report / "report.html").read_text()
-    for words in ("solver: &lt;gave up&gt;", "2 of 3 runs failed", "<td>not run</td>"):
+    for words in ("solver: &lt;gave up&gt;", "2 of 3 runs have no results", "<td>not run</td>"):
         assert words in text
-    names = {path.stem for path in (report / "figures").iterdir()}
-    assert names == {"water-1", "flows-1"}
-    for name in names:
-        assert (report / "figures" / f"{name}.svg").read_text().startswith("<svg")
-        picture = (report / "figures" / f"{name}.png").read_bytes()
-        width, height = struct.unpack(">II", picture[16:24])
-        assert 800 < width <= 2800 and height > 300
-    payload = json.loads(text.partition('id="payload">')[2].partition("</script>")[0])
-    assert {panel["figure"] for panel in payload["panels"]} == names
+    assert {path.name for path in (report / "figures").iterdir()} == {"time-1.svg", "time-1.png"}
+    picture = (report / "figures" / "time-1.png").read_bytes()
+    width, height = struct.unpack(">II", picture[16:24])
+    assert 800 < width <= 2800 and height > 300

@@ -36,13 +36,11 @@ from places import CHECKOUT, CONFIG
 from refusals import refusal
 from rosbags.rosbag2 import StoragePlugin
 
-from greenroof_ros.analysis.report.bags import read_run
-from greenroof_ros.analysis.report.run import Row
+from greenroof_ros.analysis.report.bags import Row, read_run
+from greenroof_ros.analysis.report.contents import make_notes
 from greenroof_ros.analysis.report.sources import find_runs
-from greenroof_ros.analysis.report.tables import make_notes, make_tables
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.commands.recover import recover
-from greenroof_ros.results.table import event_rows
 from greenroof_ros.results.trajectory import Trajectory, read_trajectory
 from greenroof_ros.site.file import format_site, read_site
 
@@ -94,7 +92,7 @@ def test_a_bag_gives_the_runs_numbers(tmp_path: Path) -> None:
             assert row[name] == pytest.approx(example.row[name], rel=1e-12), name
         assert (row["controller"], row["initial"]) == ("unknown", "the recorded volumes")
     assert "the bag contains no site file: the paper" in page_of(report)
-    assert len(report.windows()) == 2  # foreign bags are not compared
+    assert len(report.places) == 2  # foreign bags are not compared
     both = write_bag(tmp_path / "both", {**plain, **spaced})
     refusal(report_of, both, match=r"from a single graph, but contains .* /, /site1")
 
@@ -274,30 +272,9 @@ def test_discharge_that_nobody_recorded(
     assert len(found) == known
     if len(recorded) == 2:
         assert run.row["discharge_m3"] == pytest.approx(4e-3)
-    assert not run.events()
 
 
 # --- run directories -----------------------------------------------------------------------------
-
-
-def test_events_of_a_run_directory(tmp_path: Path) -> None:
-    """Its summary's, unless they are no events; of a run that did not end, its trajectory's."""
-    example = simulate("onoff", "0.5", "low-low", "1.6")
-    events = json.loads(json.dumps(event_rows(START, example.events)))
-    (rain,) = events
-    assert not rain["complete"] and 0 < rain["rain_mm"] < 5
-    done = {"example": example, "events": [{**rain, "rain_mm": 9.0}]}
-    assert read_run(ended_run(tmp_path / "done", **done)).events() == done["events"]
-    interrupted = read_run(ended_run(tmp_path / "cut", "interrupted", example))
-    assert interrupted.events() == [
-        {**rain, **{name: pytest.approx(rain[name]) for name in rain if "rain" in name}}
-    ]
-    file = tmp_path / "done" / "summary.json"
-    content = json.loads(file.read_text())
-    for wrong in ("rain", None, [{"rain_mm": 1.0}], [{**rain, "rain_mm": None}]):
-        file.write_text(json.dumps({**content, "events": wrong}))
-        notes = read_run(tmp_path / "done").notes
-        assert any("damaged or was written by another" in note for note in notes)
 
 
 @pytest.mark.parametrize(("without_rain", "wet"), [(".inf", 0.0), ("0.0", 2e-3)])
@@ -316,7 +293,7 @@ def test_the_weather_before_a_run_that_did_not_end(
 
 
 def test_results_of_a_run_that_is_done_are_its_own(tmp_path: Path) -> None:
-    """From its summary: with sensor errors the bag's roof differs from the true one."""
+    """From its summary: with sensor errors the bag's roof is a reading, which a note tells."""
     example = simulate("onoff", "2", "low-low", "0.05")
     results = {name: example.row[name] for name in (TOTAL, "pumped_m3", "final_roof_m3")}
     off = dataclasses.replace(example.trajectory, roof=example.trajectory.roof + 0.5)
@@ -326,7 +303,8 @@ def test_results_of_a_run_that_is_done_are_its_own(tmp_path: Path) -> None:
     ))
     row = report.cases[0].row
     assert {name: row[name] for name in results} == results
-    assert ["noisy: 0.005"] in make_notes(report).values()
+    (note,) = (note for note in make_notes(report) if "reading of its sensor" in note)
+    assert "roof_offset 0.005 m" in note
 
 
 def test_notes_of_a_run_directory(tmp_path: Path) -> None:
@@ -335,11 +313,11 @@ def test_notes_of_a_run_directory(tmp_path: Path) -> None:
         tmp_path / "run", example=simulate("onoff", "0.5", "low-low", "0.01"), limited_steps=4,
         solver={"fallbacks": 3}, filled_hours=1, weather_notes=["rain was moved an hour back"],
     )
-    notes = make_notes(report_of(path))
-    assert {runs[0].partition(": ")[2] for runs in notes.values()} >= {
-        "4", "3", "1", "rain was moved an hour back",
-    }
-    assert any("wettest hour" in text for text in notes), [*notes]
+    report = report_of(path)
+    notes = "\n".join(make_notes(report))
+    for words in ("ran empty", "no solution", "were filled", "rain was moved an hour back"):
+        assert words in notes
+    assert any("wettest hour" in line for line in report.runs[0].weather)
 
 
 def test_a_foreign_summary_leaves_the_numbers(tmp_path: Path) -> None:
@@ -357,25 +335,19 @@ def test_a_foreign_summary_leaves_the_numbers(tmp_path: Path) -> None:
 
 
 def test_names_distinguish_paths(tmp_path: Path) -> None:
-    """Runs and studies are named by their directories; two with one name are refused."""
+    """Runs are named by their directories; the cases of two studies stay apart."""
     paths = [tmp_path / place for place in ("mon/bag", "tue/bag", "x/a/deep", "y/a/deep", "one")]
     for path in paths:
         path.parent.mkdir(parents=True, exist_ok=True)
         small_bag(path)
     names = [run.name for run in find_runs([paths[0].parent, *paths[1:3], paths[4]]).runs]
     assert names == ["mon", "bag", "deep", "one"]
-    for first, second in (paths[:2], paths[2:4]):
-        reason = refusal(report_of, first, second, match=f"have the same name, {first.name}: list")
-        assert str(first) in reason and str(second) in reason
     row = simulate("onoff", "0.5", "low-low").row
     studies = [write_study(tmp_path / place / "study", [(row, None)]) for place in ("a", "b")]
-    refusal(report_of, *studies, match="a/study and .*b/study have the same name, study")
-    studies[1] = studies[1].rename(tmp_path / "other")
-    assert [run.name for run in find_runs(studies).runs] == ["study/001", "other/001"]
-    windows = [case.place[0].partition("/")[0] for case in report_of(*studies).cases]
-    assert windows == ["study", "other"]
-    again = tmp_path / "mon" / ".." / "mon" / "bag"
-    refusal(report_of, paths[0], again, match="mon/../mon/bag have the same name, bag: list each")
+    report = report_of(*studies)
+    assert [case.place[0].startswith(f"{study}/") for case, study in zip(
+        report.cases, studies, strict=True
+    )] == [True, True]
 
 
 # --- graphs --------------------------------------------------------------------------------------
@@ -420,7 +392,7 @@ def test_a_run_of_the_graph(domain: int, tmp_path: Path) -> None:
     worked_out = row_of_run(tmp_path / "run")
     for name in (TOTAL, "pumped_m3", "rain_m3", "drainage_m3", "final_roof_m3"):
         assert worked_out[name] == pytest.approx(summary[name], rel=1e-12, abs=1e-15), name
-    assert list(figures_of(report_of(tmp_path / "run"))) == ["water-1", "flows-1"]
+    assert list(figures_of(report_of(tmp_path / "run"))) == ["time-1"]
 
 
 def test_what_the_plant_refuses_acts_as_zero(tmp_path: Path) -> None:
@@ -449,26 +421,24 @@ def test_a_changed_parameter(tmp_path: Path) -> None:
     """It is noted; runs of one window are named by what differs, or by their directories."""
     changes = [{"tick": 300, "parameter": "weight", "before": 0.001, "value": 0.00001}]
     paths = [
-        ended_run(tmp_path / "run", parameter_changes=changes, parameter_change_count=3000),
+        ended_run(tmp_path / "run", parameter_changes=changes),
         ended_run(tmp_path / "other"),
         ended_run(tmp_path / "third", example=simulate("mpc", "0.01", "low-low")),
     ]
     both = report_of(*paths)
-    (window,) = both.windows()  # each has a copy of the same site
-    assert [case.label for case in window] == [
-        "mpc weight 0.001 (run)", "mpc weight 0.001 (other)", "mpc weight 0.01"
-    ]
-    notes = make_notes(both)
-    assert notes["weight was changed from 0.001 to 1e-05 at tick 300"] == ["run"]
-    assert notes["2999 earlier parameter changes are not listed"] == ["run"]
+    (place,) = both.places  # each has a copy of the same site
+    assert {case.label for case in place} == {
+        "mpc weight 0.001", f"mpc weight 0.001 ({paths[1]})", "mpc weight 0.01"
+    }
+    assert "weight was changed from 0.001 to 1e-05 at tick 300 (1 of 3 runs)" in make_notes(both)
     # Another site is another window.
     site = paths[1] / "configuration" / "site.yaml"
     site.write_text(format_site(read_site(site, {"a2": 50.0})))
-    assert len(report_of(*paths).windows()) == 2
+    assert len(report_of(*paths).places) == 2
 
 
 def test_how_runs_ended(tmp_path: Path) -> None:
-    """It stands above all results, and in each run's rows.
+    """It stands above all results.
 
     A run without data is refused with the reason it failed; next to others it is listed.
     """
@@ -486,14 +456,12 @@ def test_how_runs_ended(tmp_path: Path) -> None:
     ending = (
         "failed at tick 72 of 720 (00:01:12): node weather ended (SIGKILL); its last lines: none"
     )
-    short = "failed at tick 72 of 720 (00:01:12)"
     report = report_of(done, broken, nothing, silent)
-    assert [run["run"] for run in report.failed] == ["nothing", "silent"]
-    assert make_notes(report)[f"{ending}: all results are for the recorded part only"] == ["broken"]
-    assert [row["ended"] for row in make_tables(report)["Results"]] == ["done", short]
+    assert [run for run, *_ in report.sources.failed] == ["nothing", "silent"]
+    assert any(f"{ending}: all results are for the recorded" in note for note in make_notes(report))
     text = page_of(report)
-    assert "2 of 4 runs failed or did not run" in text.partition("</header>")[0]
-    assert text.count(f">{short}<") == len(make_tables(report))
+    assert f"broken {ending}" in text.partition("<table>")[0]
+    assert "2 of 4 runs have no results" in text.partition("<table>")[0]
 
 
 def test_a_live_site(tmp_path: Path) -> None:
@@ -521,7 +489,7 @@ def test_a_live_site(tmp_path: Path) -> None:
     assert set(loaded(path)[0].command.tolist()) == {0.1}
     (run,) = report_of(path).runs
     assert (run.row["case"], run.row["site"]) == ("onoff", "site.yaml")
-    assert [list(alarm.values()) for alarm in run.alarms] == [
+    assert [list(alarm) for alarm in run.alarms] == [
         ["/pump: drive", "2026-11-20 21:25:12-05:00", "2026-11-20 21:25:20-05:00", "error",
          "no connection to the drive", ""],
         ["/pump: drive", "2026-11-20 21:25:12-05:00", "not over", "error",

@@ -16,8 +16,8 @@ from places import DATA
 from refusals import refusal
 from studies import CONFIG, GRID, WEATHER, edit_grid, grid, record, run_here
 
+from greenroof_ros.analysis.report.cases import Report
 from greenroof_ros.analysis.report.figures import make_figures
-from greenroof_ros.analysis.report.groups import Report
 from greenroof_ros.analysis.report.sources import find_runs
 from greenroof_ros.analysis.study.case import collect_contents
 from greenroof_ros.analysis.study.case_run import bound_case, run_case
@@ -372,7 +372,7 @@ controllers:
         assert row["controller"] != "onoff" or bound <= row["wet_discharge_m3"] + 1e-6
         assert row["bound_mains_m3"] == pytest.approx(0.0, abs=1e-6)
     names = [figure.name for figure in make_figures(Report(find_runs([done.directory])))]
-    assert "discharge-1" in names
+    assert "comparison" in names
 
 
 def test_no_minimum_discharge_without_a_valve(tmp_path: Path) -> None:
