@@ -75,9 +75,10 @@ class LiveSite:
             arguments.forecast = file = str(Path(arguments.forecast).resolve())
             refuse((not file.lower().endswith(".csv"), "--forecast", file,
                     "must be a FILE.csv, which is read again whenever it is replaced"))
-        has_switches = {*sensors} >= _SWITCHES
         may_stay_open = site.valve_without_power == "may_stay_open"
-        sees_frost = arguments.sensors == EXTERNAL or "thermometer" in sensors
+        external = arguments.sensors == EXTERNAL
+        has_switches = may_stay_open if external else {*sensors} >= _SWITCHES
+        sees_frost = external or "thermometer" in sensors
         has_weather = arguments.weather is None
         lacks_forecast = has_weather and arguments.forecast is None
         for option, is_missing in {
@@ -88,7 +89,7 @@ class LiveSite:
             "the level of the roof in --sensors":
                 site.irrigated and bool(sensors) and "roof" not in sensors,
             "each of both end switches in --sensors": len(_SWITCHES & {*sensors}) == 1
-                or (may_stay_open and not has_switches and arguments.sensors != EXTERNAL),
+                or (may_stay_open and not has_switches),
             "--forecast, or a controller without a forecast, such as onoff":
                 lacks_forecast and self.controller.needs_forecast,
             "--forecast, or a thermometer, which shows frost": lacks_forecast
@@ -213,7 +214,9 @@ def make_parser() -> Parser:
     group.add_argument(
         "--sensors", metavar="{FILE,external}",
         help="read the sensors that this file describes (see config/sensors.yaml); external: your "
-        "own nodes publish /cistern/level, /roof/level and, without a forecast, /gauge/temperature",
+        "own nodes publish /cistern/level, /roof/level and, without a forecast, "
+        "/gauge/temperature; for a valve also /gauge/precipitation and, if it may stay open "
+        "without power, /outlet/open_switch and /outlet/closed_switch",
     )
     weather = group.add_mutually_exclusive_group()
     weather.add_argument(

@@ -114,7 +114,10 @@ class ValveNode(DriveNode):
         seconds = fields["until"] - time.time()
         control.opened_by, control.open_for = fields["owner"], max(0.0, seconds)
         state = self.decide()
-        return seconds <= 0 or not self.decision.active, state
+        opened = self.decision.request is not None
+        if not opened:  # it must rest, or an interlock is active: it does not open later by itself
+            control.open_for = 0.0
+        return seconds <= 0 or opened, state
 
     def on_inputs(self) -> None:
         """Publish position and flow, which are NaN if they are unknown."""

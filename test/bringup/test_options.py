@@ -73,6 +73,19 @@ def test_a_valve_below_the_frost_line_needs_no_temperature(
             assert "pump" not in LiveSite(arguments).nodes
 
 
+def test_a_valve_that_may_stay_open_needs_the_switches_of_external_nodes(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """One that closes without power does not."""
+    monkeypatch.chdir(tmp_path)
+    words = "--valve tasmota --valve-at mqtt://127.0.0.1/valve --controller onoff --site site.yaml"
+    monkeypatch.setattr(sys, "argv", ["live", *words.split(), *EXTERNAL])
+    for without_power in ("closes", "may_stay_open"):
+        site_file(tmp_path, **VALVE, valve_without_power=without_power)
+        _, parameters = LiveSite(live_site_parser().parse_args()).nodes["valve"]
+        assert parameters["has_switches"] == (without_power == "may_stay_open")
+
+
 # --- a file of parameters -------------------------------------------------------------------------
 
 MODULES = {

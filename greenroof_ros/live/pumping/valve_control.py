@@ -191,7 +191,7 @@ class ValveControl:
         elif command >= OPENS_AT:
             again = duration(math.ceil(max(0.0, valve[REST] - valve[SINCE])))
             why = f"it may open in {again}, so that it does not move too often"
-        if not self._on and not at_rest:
+        if not self._on and not at_rest and state != "fault":
             lost = observed.on is None
             why += "; it is unknown whether it has closed" if lost else "; it is closing"
             state = ("unknown" if lost else "closing") if state == "closed" else state
