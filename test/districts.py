@@ -1,13 +1,10 @@
-"""Small districts for the tests: their files, and how they are simulated in this process."""
+"""Small districts for the tests."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 from places import DATA
-
-from greenroof_ros.analysis.district.run import DistrictRun, read_run, simulate_district
-from greenroof_ros.analysis.district.totals import Totals
 
 WEATHER = DATA / "en_climate_hourly_07-2021.csv"
 # Two storms, with 23 mm and 13 mm within hours; dry days before, between and after them.
@@ -19,6 +16,8 @@ draw:
   cistern_volume: {{low: 1.0, high: 6.0}}
   substrate_depth: {{values: [0.08, 0.108]}}
 weather: {{file: {WEATHER}, start: 2021-07-07T00:00, hours: 72}}
+draws: 1
+forecast: perfect
 adoption: [0.25, 0.5, 1.0]
 valve_share: 0.5
 sewer_capacity: 2.0
@@ -36,9 +35,3 @@ def edit(old: str, new: str) -> str:
     """Return the district with a replaced part."""
     assert old in DISTRICT
     return DISTRICT.replace(old, new)
-
-
-def simulate_here(directory: Path, text: str = DISTRICT) -> tuple[DistrictRun, Totals]:
-    """Simulate a district in this process."""
-    run = read_run(write_district(directory, text))
-    return run, simulate_district(run)

@@ -1,323 +1,249 @@
-"""The page of a district: a self-contained HTML file."""
+"""The page of a district, its figures, and the answer in a sentence."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from datetime import datetime, timedelta
+from collections.abc import Sequence
+from datetime import timedelta
 from typing import Any
 
 import altair as alt
 import numpy as np
 
-from greenroof_ros.analysis.district.adoption import Adoption
-from greenroof_ros.analysis.district.district_file import DRAIN, NONE, ORIFICE, PLAN
-from greenroof_ros.analysis.district.run import DistrictRun
-from greenroof_ros.analysis.district.totals import AS_IS, Flow, Totals
-from greenroof_ros.analysis.figures import (
-    Figure,
-    Rows,
-    make_tooltips,
-    round_value,
-    series_panel,
-)
-from greenroof_ros.analysis.report.page import make_page
+from greenroof_ros.analysis.district.file import DRAIN, NO_FORECAST, NONE, ORIFICE, PLAN
+from greenroof_ros.analysis.district.result import PERCENTILES, DistrictResult, find_best
+from greenroof_ros.analysis.district.scene import AS_IS, PEAK_MIN, Flow
+from greenroof_ros.analysis.figures import Figure, Panel, Rows, distinguish_series, round_value
+from greenroof_ros.analysis.page import Section, make_page
+from greenroof_ros.analysis.tables import COLUMNS, Column, Table, format_number, format_range
+from greenroof_ros.analysis.tables import format_share as share
 from greenroof_ros.base.text import number_of
-from greenroof_ros.base.times import to_people
 
-LABELS = {
-    NONE: "overflow only", ORIFICE: "orifice", DRAIN: "valve, drain", PLAN: "valve, plan",
+_LABELS = {NONE: "overflow only", ORIFICE: "orifice", DRAIN: "valve, drain", PLAN: "valve, plan"}
+_ROUTED = {
+    "routed_overflow_m3": Column("sewer overflow, routed", "m³", format_number),
+    "routed_peak_l_s": Column("peak in the sewer, routed", "L/s", format_number),
 }
-"""Labels of the kinds of outlet."""
-AS_IS_LABEL = "as it is"
-"""Label of the district without green roofs and cisterns."""
+SHOWN = {
+    **{name: COLUMNS[name] for name in ("wet_discharge_m3", "discharge_m3", "retention_share")},
+    "wet_discharge_reduction": Column("less in wet weather", "%", share),
+    "sewer_overflow_m3": Column("flow beyond the capacity, unrouted", "m³", format_number),
+    "mains_m3": COLUMNS["mains_m3"],
+}
+"""columns of the main table, by the names of the results"""
+_PEAKS = {
+    f"peak_{each}min_mm_h": Column(f"peak over {each} min, unrouted", "mm/h", format_number)
+    for each in PEAK_MIN
+}
+_RESTS_ON = ("wet_discharge_reduction", "retention_share", "mains_m3")
 # The drawn storm: hours before and after its peak, and minutes between two points.
-_BEFORE_H, _AFTER_H, _POINT_MIN = 6, 48, 5
+_BEFORE_H, _AFTER_H, _POINT_MIN = 6, 24, 15
 
 
-def render(
-    run: DistrictRun, area: float, rows: Sequence[dict[str, Any]], figures: Sequence[Figure]
-) -> str:
-    """Return the page as HTML.
+def _name(flow: Flow) -> str:
+    return _LABELS[flow.outlet] if flow.adoption else "as it is"
 
-    Args:
-        run: the simulated district.
-        area: connected area of all buildings (m2).
-        rows: rows of the results.
-        figures: figures from :func:`draw_figures`.
-    """
-    return make_page(
-        __package__, figures, headline=summarise(run, rows), rows=rows,
-        labels=LABELS, run=run, area=area, start=to_people(run.runs[0].start),
-        capacity=run.district.sewer_capacity, columns=COLUMNS, warnings=warn(run, rows),
-        number_of=number_of, notes=run.notes, cells=len(run.runs), shown=_shown, percent=percent,
+
+def _range(result: DistrictResult, flow: Flow, name: str, column: Column) -> str:
+    """Return the mean of a result with its range."""
+    table = result.table
+    row = table.row(result.storm.flows.index(flow), named=True)
+    return format_range(row[name], *(row[f"{name}_p{end}"] for end in PERCENTILES), column)
+
+
+def describe_numbers(result: DistrictResult) -> str:
+    """Return a sentence that says for what the numbers stand."""
+    seasons = result.all_rows["season"].unique(maintain_order=True).to_list()
+    when, draws = f"{result.window}, {', '.join(seasons)}", result.district.draws
+    if len(seasons) * draws == 1:
+        return f"Numbers are those of one draw of the buildings in one period ({when})."
+    return (
+        f"Numbers are means of {number_of(len(seasons), 'season')} ({when}) with "
+        f"{number_of(draws, 'draw')} of the buildings each; in brackets, the 5th to the 95th "
+        "percentile of these."
     )
 
 
-# --- words ----------------------------------------------------------------------------------------
-
-COLUMNS = {
-    "wet_discharge_m3": "in wet weather (m³)",
-    "wet_discharge_reduction": "less",
-    "peak_5min_mm_h": "peak, 5 min (mm/h)",
-    "peak_15min_mm_h": "15 min",
-    "peak_60min_mm_h": "60 min",
-    "peak_60min_reduction": "less",
-    "sewer_overflow_m3": "sewer overflow (m³)",
-    "sewer_overflow_reduction": "less",
-    "sewer_overflow_hours": "hours of overflow",
-    "wet_low_outlet_m3": "through low outlets in wet weather (m³)",
-    "low_outlet_peak_5min_mm_h": "peak through low outlets, 5 min (mm/h)",
-    "mains_m3": "mains water (m³)",
-    "demand_met_share": "irrigation without mains water",
-}
-"""Headers of the table's columns, by the results' names."""
-
-
-def summarise(run: DistrictRun, rows: Sequence[dict[str, Any]]) -> str:
-    """Return the main result in a sentence or two: the best outlet, at two levels of adoption."""
-    reference, *others = (row for row in rows if row["buildings"] or not row["adoption"])
-    if not others:
-        return "No building has a green roof: there is nothing to compare."
-    best = min(others, key=lambda row: (row["wet_discharge_m3"], row["adoption"]))
+def summarise(result: DistrictResult) -> str:
+    """Return the effect of the best outlet at the highest and at half of the highest adoption."""
+    best = find_best(result.all_rows)
+    if best == AS_IS:
+        return "No green roofs and cisterns of this district reduce the water in the sewer."
+    counts = dict(zip(result.storm.flows, result.table["buildings"].to_list(), strict=True))
+    percent = Column("", "", share)
+    less, kept = (
+        _range(result, best, name, percent) for name in _RESTS_ON[:2]
+    )
+    text = (
+        f"With green roofs and cisterns on {counts[best]:,.0f} of {len(result.buildings):,} "
+        f"buildings ({_name(best)}), {less} % less water reaches the sewer in wet weather; over "
+        f"all weather, they retain {kept} % of the rain."
+    )
     lower = [
-        row for row in others
-        if row["outlet"] == best["outlet"] and row["adoption"] <= best["adoption"] / 2
+        flow for flow in counts
+        if flow.outlet == best.outlet and 0 < flow.adoption <= best.adoption / 2
     ]
-    what = "a green roof and a cistern" if len(run.buildings) == 1 else "green roofs and cisterns"
-    sentences = [
-        f"With {what} on {name_share(best['adoption'], len(run.buildings))} "
-        f"({LABELS[best['outlet']]}), {_compare(reference, best)}."
-    ]
-    sentences += [
-        f"On {percent(row['adoption'])} of them, {_compare(reference, row)}." for row in lower[-1:]
-    ]
-    return " ".join(sentences)
-
-
-def name_share(adoption: float, count: int) -> str:
-    """Return a share of the buildings in words, as in ``all 1,000 buildings``.
-
-    Args:
-        adoption: share of the buildings (1).
-        count: total number of buildings.
-    """
-    if Adoption(count, (adoption,), 1.0).counts[0] < count:
-        return f"{percent(adoption)} of the {number_of(count, 'building')}"
-    return f"all {count:,} buildings" if count > 1 else "the only building"
-
-
-# Compared results: the name, and the words if it is zero, if it is unchanged and if it has changed.
-_COMPARED = (
-    ("wet_discharge_m3", "no storm water reaches the sewer in wet weather",
-     "just as much storm water reaches the sewer in wet weather",
-     "{percent} {less} storm water reaches the sewer in wet weather", ("less", "more")),
-    ("sewer_overflow_m3", "the sewer no longer overflows", "the sewer overflows just as much",
-     "the sewer overflows {percent} {less}", ("less", "more")),
-    ("peak_60min_l_s", "no water reaches the sewer in any hour",
-     "the peak over an hour is the same", "the peak over an hour is {percent} {less}",
-     ("lower", "higher")),
-)
-
-
-def _compare(reference: dict[str, Any], row: dict[str, Any]) -> str:
-    parts = []
-    for key, none, same, changed, (less, more) in _COMPARED:
-        if not reference.get(key):
-            continue
-        change = 1 - row[key] / reference[key]
-        amount = percent(abs(change))
-        if not row[key]:
-            parts.append(none)
-        elif amount == percent(0.0):
-            parts.append(same)
-        else:
-            parts.append(changed.format(percent=amount, less=less if change > 0 else more))
-    if not reference.get("sewer_overflow_m3") and row.get("sewer_overflow_m3"):
-        parts.append("the sewer, which is large enough for the buildings as they are, overflows")
-    return " and ".join([*filter(None, [", ".join(parts[:-1])]), *parts[-1:]]) or "nothing changes"
-
-
-def describe_valves(rows: Sequence[dict[str, Any]], count: int) -> list[str]:
-    """Return sentences about the time and the rate at which each valve policy releases water.
-
-    Args:
-        rows: rows of the results.
-        count: number of buildings.
-    """
-    storm, sentences = rows[0]["peak_5min_mm_h"], []
-    for outlet in (DRAIN, PLAN):
-        row = max(
-            (row for row in rows if row["outlet"] == outlet and row["low_outlet_m3"]),
-            key=lambda row: float(row["adoption"]), default=None,
-        )
-        if row is not None:
-            peak = row["low_outlet_peak_5min_mm_h"]
-            wet = row["wet_low_outlet_m3"] / row["low_outlet_m3"]
-            sentences.append(
-                f"{LABELS[outlet].capitalize()}, {name_share(row['adoption'], count)}: "
-                f"{percent(wet) if wet else 'none'} of the water from the valves is released in "
-                f"wet weather. Together, the valves release at most {peak:.3g} mm/h"
-                + (f", which is {percent(peak / storm)} of the storm's peak." if storm else ".")
+    if lower:
+        less = _range(result, lower[-1], _RESTS_ON[0], percent)
+        text += f" On {counts[lower[-1]]:,.0f} buildings, {less} % less."
+    for name, how in (
+        ("routed_overflow_m3", "Routed through a sewer network (SWMM), the sewer overflows with"),
+        ("sewer_overflow_m3", "Without routing, the flow beyond the capacity of the sewer is"),
+    ):
+        if name in result.table.columns and result.table[name][0] is not None:
+            after, before = (
+                _range(result, flow, name, Column("", "", format_number)) for flow in (best, AS_IS)
             )
-    return sentences
+            text += f" {how} {after} m³ a season instead of {before} m³."
+            break
+    return f"{text} {describe_numbers(result)}"
 
 
-def warn(run: DistrictRun, rows: Sequence[dict[str, Any]]) -> list[str]:
-    """Return a warning if the flow from all valves exceeds the sewer's dry-weather capacity."""
-    capacity = run.district.sewer_capacity
-    if capacity is None:
-        return []
-    over = [row for row in rows if row["dry_sewer_overflow_m3"] > 0]
-    if not over:
-        return []
-    worst = max(over, key=lambda row: float(row["dry_peak_5min_mm_h"]))
-    return [
-        "the cisterns empty at the same time: in dry weather they release up to "
-        f"{worst['dry_peak_5min_mm_h']:.3g} mm/h ({LABELS[worst['outlet']]}, "
-        f"{name_share(worst['adoption'], len(run.buildings))}), which exceeds the sewer's "
-        f"capacity of {capacity:g} mm/h; choose a smaller low_outlet_radius"
-    ]
+def tabulate(result: DistrictResult, names: dict[str, Column], caption: str) -> Table:
+    """Return a table of results with their ranges, a row for each flow that has them."""
+    columns = {name: each for name, each in names.items() if name in result.table.columns}
+    rows, counts = [], result.table["buildings"].to_list()
+    for flow, count, known in zip(
+        result.storm.flows, counts, result.table[next(iter(columns))].to_list(), strict=True
+    ):
+        if known is not None:
+            cells = (_range(result, flow, name, each) for name, each in columns.items())
+            rows.append([_name(flow), f"{count:,.0f}", *cells])
+    return Table(caption, ["outlet", "buildings", *columns.values()], rows)
 
 
-def percent(share: float) -> str:
-    """Return a share (1) in per cent, with a decimal if it would round to 0 or 100.
-
-    A non-breaking space keeps the number and the per cent sign on one line.
-    """
-    text = f"{round(100 * share)}"
-    if text in ("0", "100") and f"{100 * share:.1f}" not in ("0.0", "-0.0", "100.0"):
-        text = f"{100 * share:.1f}"
-    return f"{text}\N{NO-BREAK SPACE}%"
-
-
-def _shown(key: str, value: float | None) -> str:
-    if value is None:
-        return "-"
-    if key.endswith(("_reduction", "_share")):
-        return percent(value)
-    return f"{value:,.0f}" if abs(value) >= 100 else f"{value:.3g}"
-
-
-# --- figures --------------------------------------------------------------------------------------
-
-
-def draw_figures(
-    run: DistrictRun, totals: Totals, rows: Sequence[dict[str, Any]]
-) -> Iterator[Figure]:
-    """Yield the figures: results against adoption, water from the valves, and the peak hour."""
-    names = [LABELS[outlet] for outlet in totals.outlets]
-    capacity = run.district.sewer_capacity
-    amounts = [
-        ("wet_discharge_m3", "Discharge in wet weather", "m³", None),
-        *((("sewer_overflow_m3", "Sewer overflow", "m³", None),) if capacity else ()),
-        ("peak_60min_mm_h", "Peak over 60 minutes", "mm/h", capacity),
-        *((("mains_m3", "Mains water for irrigation", "m³", None),) if "mains_m3" in rows[0]
-          else ()),
-    ]
-    yield _draw_over_adoption(
-        "adoption", "Discharge to the sewer, by adoption",
-        "The values are for all buildings together, over their connected area. "
-        + _capacity_note(capacity),
-        rows, names, amounts,
+def make(result: DistrictResult, figures: Sequence[Figure]) -> str:
+    """Return the page as HTML."""
+    district, site, routed = result.district, result.site, "routed_peak_l_s" in result.table.columns
+    count = number_of(len(result.buildings), "building")
+    forecast = f"no rain (forecast: {NO_FORECAST})" if district.forecast == NO_FORECAST else (
+        f"the forecast '{district.forecast}'"
     )
-    valves = describe_valves(rows, len(run.buildings))
-    yield _draw_over_adoption(
-        "together",
-        "Do the valves open together?" if valves else "The highest flow over five minutes",
-        " ".join([
-            *(
-                ["The valves open together in dry weather.", *valves,
-                 "The figure shows the highest flow over five minutes."]
-                if valves else ["No valve opens."]
-            ),
-            _capacity_note(capacity),
+    tables = [tabulate(result, SHOWN, "Volumes in a season")]
+    if routed and result.table["routed_peak_l_s"][0] is not None:
+        tables.append(tabulate(result, _ROUTED, "Routed by SWMM, first draw of the buildings"))
+    tables.append(tabulate(result, _PEAKS, "Highest flows of the sum of all buildings, unrouted"))
+    return make_page(f"Green roofs in a district of {count}", result.sentence, [
+        Section("The results", [
+            f"{count} have a connected area of {result.storm.areas.sum() / 1e4:.3g} ha. They are "
+            "compared with the same buildings as they are, from whose roofs all rain runs off at "
+            f"once. Wet weather is the time of rain and the {site.wet_after:g} h after it. What "
+            "valves release in dry weather reaches the same sewer: it counts in the discharge and "
+            "in the retention.",
+            *tables, *([result.warnings] if result.warnings else []),
         ]),
-        rows, names, [
-            ("peak_5min_mm_h", "At any time", "mm/h", capacity),
-            ("low_outlet_peak_5min_mm_h", "Through valves or orifices", "mm/h", capacity),
-        ],
-    )
-    yield _draw_storm(run, totals, [*names, AS_IS_LABEL])
+        Section("Pictures", figures),
+        Section("What it rests on", [
+            *([_tabulate_assumptions(result)] if result.tested else []),
+            [
+                "Unrouted flows add up in the minute in which they leave their buildings. In pipes "
+                "they spread out and arrive one after another: real peaks are lower.",
+                "Streets, yards, other buildings and storage in the sewer are left out.",
+                "If rain was measured hourly, peaks over less than an hour are those of the hour.",
+                *([f"The valve's plan receives {forecast}."] if PLAN in district.outlets else []),
+            ],
+        ]),
+        Section("What was read", [result.notes]),
+        Section("How it was made", [
+            f"greenroof district {district.path.name}, seeds {district.seed} to "
+            f"{district.seed + district.draws - 1}, ticks of {district.tau:g} s. results.csv has "
+            "the means and percentiles, seasons.csv the results of every draw and season, "
+            "buildings.csv those of every building of the first draw, hydrographs.parquet the "
+            "flows in the season of the highest flow.",
+        ]),
+    ])
 
 
-def _capacity_note(capacity: float | None) -> str:
-    return f"The dashed line is the sewer's capacity, {capacity:g} mm/h." if capacity else ""
-
-
-def _draw_over_adoption(
-    name: str, title: str, caption: str, rows: Sequence[dict[str, Any]], names: list[str],
-    amounts: Sequence[tuple[str, str, str, float | None]],
-) -> Figure:
-    """Return a figure of results against adoption; every line begins with the district as it is."""
-    reference, *others = rows
-    data: Rows = [
-        {"outlet": LABELS[row["outlet"]], "adoption": row["adoption"],
-         **{key: round_value(row[key]) for key, *_ in amounts}}
-        for row in (*({**reference, "outlet": outlet} for outlet in LABELS), *others)
-        if LABELS[row["outlet"]] in names
+def _tabulate_assumptions(result: DistrictResult) -> Table:
+    """Return the table of the best flow at the ends of every assumption, with the first draw."""
+    best = find_best(result.all_rows)
+    names = [name for name in _RESTS_ON if name in result.table.columns]
+    cases = [
+        ("as used", "", each.rows) if each.assumption is None else (
+            f"{each.assumption.label}; used: {getattr(result.site, each.assumption.name):g}",
+            f"{each.value:g}", each.rows,
+        ) for each in result.tested
     ]
-    panels = []
-    for key, what, unit, line in amounts:
-        lines = alt.Chart(alt.NamedData(name)).mark_line(point=True, strokeWidth=1.5).encode(
-            x=alt.X("adoption:Q", title="buildings with green roof and cistern",
-                    axis=alt.Axis(format="%")),
-            y=alt.Y(f"{key}:Q", title=unit, scale=alt.Scale(zero=True)),
-            tooltip=make_tooltips(
-                "outlet:N", alt.Tooltip("adoption:Q", format=".0%"),
-                alt.Tooltip(f"{key}:Q", title=f"{what} ({unit})", format=",.4~g"),
+    return Table(
+        f"Some of the buildings with a green roof ({_name(best)}), with each assumption at both "
+        "ends of its range, one at a time; lowest and highest season in brackets", ["assumption", "value", *(SHOWN[name] for name in names)],
+        [
+            [label, value, *(
+                format_range(*(getattr(rows[name], kind)() for kind in ("mean", "min", "max")),
+                             SHOWN[name]) for name in names
+            )] for label, value, rows in cases
+        ], frozenset({0}),
+    )
+
+
+def draw_figures(result: DistrictResult) -> list[Figure]:
+    """Return the figures: results against adoption, and the storm."""
+    table, rows = result.table, list[dict[str, Any]]()
+    names = ["wet_discharge_m3", "discharge_m3", "sewer_overflow_m3", "mains_m3"]
+    names = [name for name in names if name in table.columns]
+    outlets = list(dict.fromkeys(flow.outlet for flow in result.storm.flows))
+    for row in table.iter_rows(named=True):
+        for outlet in [row["outlet"]] if row["adoption"] else outlets:
+            ends = (f"{name}{end}" for name in names for end in ("", "_p5", "_p95"))
+            rows.append({"outlet": _LABELS[outlet], "adoption": row["adoption"],
+                         **{end: round_value(row[end]) for end in ends}})
+    base = alt.Chart(alt.NamedData("adoption")).encode(
+        x=alt.X("adoption:Q", title="buildings with green roof and cistern",
+                axis=alt.Axis(format="%")),
+        **distinguish_series("outlet", [_LABELS[outlet] for outlet in outlets]),
+    )
+    panels = [
+        Panel(alt.layer(
+            base.mark_area(opacity=0.12, strokeOpacity=0).encode(
+                y=alt.Y(f"{name}_p5:Q", title=None), y2=alt.Y2(f"{name}_p95:Q")
             ),
-        )
-        below = [] if line is None else [_draw_level(line)]
-        panels.append(series_panel(lines, "outlet", names, what, below))
-    return Figure(name, title, caption, tuple(panels), 2, {name: data})
+            base.mark_line(point=True, strokeWidth=2).encode(y=alt.Y(f"{name}:Q", title=None)),
+        ), SHOWN[name].heading) for name in names
+    ]
+    return [
+        Figure("adoption", "Volumes in a season, by adoption", "Lines are means; bands extend from "
+               "the 5th to the 95th percentile.", tuple(panels), 2, {"adoption": rows}),
+        _draw_storm(result),
+    ]
 
 
-def _draw_level(value: float) -> alt.Chart:
-    rule: alt.Chart = alt.Chart(alt.InlineData([{"v": value}])).mark_rule(
-        strokeDash=[6, 3], color="#555555"
-    ).encode(y="v:Q")
-    return rule
-
-
-def _draw_storm(run: DistrictRun, totals: Totals, names: list[str]) -> Figure:
+def _draw_storm(result: DistrictResult) -> Figure:
     """Return a figure of the flows around the peak hour, at the highest level of adoption."""
-    size = max(1, round(60 * _POINT_MIN / totals.seconds))
-    hour = max(1, round(3600 / totals.seconds))
-    reference = totals.discharge(AS_IS)
-    sums = np.convolve(reference, np.ones(hour))
-    peak = int(sums.argmax())
-    first = max(0, peak - _BEFORE_H * hour) // size * size
-    last = min(len(reference), peak + _AFTER_H * hour)
-    highest = max(totals.adoption.shares, default=0.0)
-    series = {AS_IS_LABEL: reference} | {
-        LABELS[outlet]: totals.discharge(Flow(outlet, highest)) for outlet in totals.outlets
-    }
-    factor = 1000 * 3600 / totals.seconds / totals.area
-    start: datetime = run.runs[0].start.replace(tzinfo=None)
-    rows: Rows = []
-    for name, volumes in series.items():
-        points = np.add.reduceat(volumes[first:last], np.arange(0, last - first, size)) / size
-        for number, value in enumerate(points.tolist()):
-            time = start + timedelta(seconds=(first + number * size) * totals.seconds)
-            rows.append({"t": f"{time.isoformat()}Z", "outlet": name,
+    scene = result.storm
+    seconds, highest = float(scene.durations[0]), scene.flows[-1].adoption
+    size, hour = (max(1, round(each / seconds)) for each in (60 * _POINT_MIN, 3600))
+    reference = scene.group_discharges(AS_IS).sum(axis=0)
+    peak = int(np.convolve(reference, np.ones(hour)).argmax())
+    first = max(0, peak - _BEFORE_H * hour)
+    places = np.arange(first, min(len(reference), peak + _AFTER_H * hour), size)
+    factor, start = 3.6e6 / scene.areas.sum(), result.storm_run.start.replace(tzinfo=None)
+    last, rows, labels = min(places[-1] + size, len(reference)), Rows(), []
+    lengths = np.add.reduceat(scene.durations[:last], places)
+    for flow in scene.flows:
+        if flow.adoption not in (0, highest):
+            continue
+        labels.append(_name(flow))
+        volumes = scene.group_discharges(flow).sum(axis=0)[:last]
+        for place, value in zip(places, np.add.reduceat(volumes, places) / lengths, strict=True):
+            time = start + timedelta(seconds=place * seconds)
+            rows.append({"t": f"{time.isoformat()}Z", "outlet": labels[-1],
                          "v": round_value(factor * value)})
     lines = alt.Chart(alt.NamedData("storm")).mark_line(
-        clip=True, strokeWidth=1.2, interpolate="step-after"
+        clip=True, strokeWidth=1.5, interpolate="step-after"
     ).encode(
         x=alt.X("t:T", title=None, scale=alt.Scale(type="utc"),
                 axis=alt.Axis(tickCount=6, format="%d %b %H:%M")),
         y=alt.Y("v:Q", title="mm/h over the connected area"),
-        tooltip=make_tooltips(
-            "outlet:N", alt.Tooltip("t:T", title="time", timeUnit="utcyearmonthdatehoursminutes",
-                                    format="%Y-%m-%d %H:%M"),
-            alt.Tooltip("v:Q", title="mm/h", format=".3~g"),
-        ),
+        **distinguish_series("outlet", labels),
     )
-    capacity = run.district.sewer_capacity
-    below = [] if capacity is None else [_draw_level(capacity)]
-    panel = series_panel(lines, "outlet", names, f"Means over {_POINT_MIN} minutes", below)
+    capacity = result.district.sewer_capacity
+    layers = [lines]
+    if capacity is not None:
+        data = alt.InlineData([{"v": capacity}])
+        rule = alt.Chart(data).mark_rule(strokeDash=[6, 3], color="#555555")
+        layers.insert(0, rule.encode(y="v:Q"))
+    note = "" if capacity is None else f" The dashed line is the capacity, {capacity:g} mm/h."
     return Figure(
-        "storm", "The hour with the highest flow, and the days after it",
-        f"With green roofs and cisterns on {name_share(highest, len(run.buildings))}. "
-        + _capacity_note(capacity), (panel._replace(height=320),), 1, {"storm": rows},
+        "storm", "The hour with the highest flow, and the day after it",
+        f"Unrouted means over {_POINT_MIN} minutes, first draw of the buildings.{note}",
+        (Panel(alt.layer(*layers), "", 300),), 1, {"storm": rows},
     )

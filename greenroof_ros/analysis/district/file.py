@@ -1,19 +1,19 @@
-"""Reading and checking of district files: buildings, weather, adoption and sewer."""
+"""District files: buildings, weather, adoption and sewer."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from greenroof_ros.base.errors import ConfigurationError, suggest_names
-from greenroof_ros.base.files import YamlMapping, find_matches, shared_directory
+from greenroof_ros.base.files import YamlMapping, find_matches, read_yaml, shared_directory
 from greenroof_ros.base.parameter import Parameter, entry, find, read_record
 from greenroof_ros.controllers import outlet
 from greenroof_ros.controllers.onoff import LEVEL
-from greenroof_ros.forecast.choice import PERFECT
-from greenroof_ros.site.file import SITE_KEYS, read_site
+from greenroof_ros.forecast.choice import ENSEMBLE, ERRORS, PERFECT, ForecastChoice
+from greenroof_ros.site.file import SITE_KEYS
 from greenroof_ros.site.site import VALVE_KEYS, Site
 from greenroof_ros.weather.series import GAPS, REFUSE
 
@@ -81,42 +81,41 @@ class Draw:
     @property
     def mistakes(self) -> Iterator[tuple[str, str]]:
         """Yield the key of each contradiction, and a sentence that states what would be right."""
-        kinds = {
-            "mean": self.mean is not None, "values": self.values is not None,
-            "names": self.names is not None,
-            "low": self.mean is None and (self.low is not None or self.high is not None),
-        }
-        there = [name for name, given in kinds.items() if given]
-        if len(there) != 1:
-            yield there[-1] if there else "", (
+        names = "mean", "sd", "low", "high", "values", "names"
+        given = {name for name in names if getattr(self, name) is not None}
+        if given not in ({"values"}, {"names"}, {"low", "high"}) and not (
+            {"mean", "sd"} <= given <= {"mean", "sd", "low", "high"}
+        ):
+            yield "", (
                 "must be one distribution: mean and sd, with or without the limits low and high; "
                 "low and high alone; values; or names"
             )
-        elif self.mean is not None and self.sd is None:
-            yield "mean", "also needs sd"
-        elif self.mean is None and self.sd is not None:
-            yield "sd", "also needs mean"
         elif self.low is not None and self.high is not None and self.low >= self.high:
             yield "low", f"must be below high = {self.high:g}"
-        elif kinds["low"] and (self.low is None or self.high is None):
-            yield "low" if self.high is None else "high", "needs low and high, or mean and sd"
         elif self.names is not None and self.times is not None:
             yield "times", "can multiply numbers, but not names"
-        for name in ("values", "names"):
-            if getattr(self, name) == ():
-                yield name, "must list at least one entry"
+        elif () in (self.values, self.names):
+            yield "values" if self.names is None else "names", "must list at least one entry"
 
 
 @dataclass(frozen=True)
 class DistrictWeather:
     """The weather of all cells, and the period that is simulated."""
 
-    start: str = entry(
-        "time of the first tick (ISO 8601), which is the same instant in all cells; a time "
-        "without a UTC offset is interpreted in the site's time_zone or, without one, in the "
-        "zone or at the offset of the first cell's weather"
+    season: str | None = entry(
+        "first and last day of a season, such as 05-01/10-31; every season that the record covers "
+        "is simulated (default: May to October, or November to April south of the equator)",
+        default=None,
     )
-    hours: float = entry("length of the run", 1e-9, 1e6, unit="h")
+    start: str | None = entry(
+        "time of the first tick (ISO 8601) of a single run of the length hours, instead of "
+        "seasons; it is the same instant in all cells. Without a UTC offset, it is in the site's "
+        "time_zone or, without one, in the zone or at the offset of the first cell's weather",
+        default=None,
+    )
+    hours: float | None = entry(
+        "length of the single run that begins at start", 1e-9, 1e6, unit="h", default=None
+    )
     file: str | None = entry(
         "weather file, or glob pattern such as '2021_*.csv', for all buildings", default=None
     )
@@ -156,8 +155,11 @@ class District:
         "CSV file with one row per building; replaces the key buildings", default=None
     )
     seed: int = entry(
-        "random seed for the draws from the distributions and for the order of "
-        "adoption", 0, 2**32, default=1
+        "random seed of the first draw of the buildings, of the order of adoption and of the "
+        "errors of forecasts; each further draw has the next seed", 0, 2**31 - 1_000, default=1
+    )
+    draws: int = entry(
+        "number of draws, each of which is simulated in every season", 1, 1000, default=5
     )
     draw: dict[str, Draw] = entry(
         "distributions of site keys, outlet_reserve, outlet_price, outlet_reach and level, each "
@@ -179,9 +181,10 @@ class District:
         "cisterns can only overflow", 0.0, 1.0, unit="1", default=1.0,
     )
     forecast: str = entry(
-        "forecast of rain that the outlet policy plan receives: the exact future rain (perfect), "
-        "or no forecast (none)",
-        choices=(PERFECT, NO_FORECAST), default=PERFECT,
+        "forecast of rain that the outlet policy plan receives: a forecast with the skill of a "
+        "weather service (errors), an ensemble of such forecasts, which takes ten times as long "
+        "(ensemble), the exact future rain (perfect), or no forecast (none)",
+        choices=(ERRORS, ENSEMBLE, PERFECT, NO_FORECAST), default=ERRORS,
     )
     sewer_capacity: float | None = entry(
         "capacity of the sewer per unit of the connected area of all buildings; the sewer "
@@ -189,40 +192,29 @@ class District:
     )
     path: Path = Path()
     """path of the file"""
-    content: YamlMapping = field(default_factory=YamlMapping, repr=False, compare=False)
-    """content of the file"""
 
     @property
-    def site_file(self) -> Path:
-        """The site file.
-
-        Raises:
-            ConfigurationError: if the file does not exist.
-        """
-        return self.find_files("site", self.site)[0]
+    def shares(self) -> tuple[float, ...]:
+        """The shares of adoption above 0 in ascending order, without duplicates."""
+        return tuple(sorted({*self.adoption} - {0.0}))
 
     @property
     def ticks(self) -> dict[str, Any]:
         """Values that replace those of the site file, by key."""
         return {"tau": self.tau, "M": 1}
 
-    @property
-    def shares(self) -> tuple[float, ...]:
-        """The shares of adoption in ascending order, without duplicates."""
-        return tuple(sorted({*self.adoption}))
+    def choose_forecast(self, draw: int) -> ForecastChoice:
+        """Return the choice of forecasts for a draw, counted from 0."""
+        if self.forecast in (ENSEMBLE, ERRORS):
+            return ForecastChoice(self.forecast, seed=self.seed + draw)
+        return ForecastChoice()
 
     def refuse(self, key: str, expected: str, value: Any = None) -> ConfigurationError:
         """Return an error about a key of the file."""
-        place = find(self.content, key)[1]
+        line, place = find(read_yaml(self.path), key)
         if value is None and not isinstance(place, (list, YamlMapping)):
             value = place
-        return ConfigurationError(
-            expected, file=self.path, line=self.line(key), key=key, value=value
-        )
-
-    def line(self, key: str) -> int | None:
-        """Return the line of a key of the file."""
-        return find(self.content, key)[0]
+        return ConfigurationError(expected, file=self.path, line=line, key=key, value=value)
 
     def find_files(self, key: str, name: str, places: Sequence[Path] = ()) -> list[Path]:
         """Return files that match a name or pattern, next to the district file or in this package.
@@ -235,7 +227,8 @@ class District:
         Raises:
             ConfigurationError: if there is no such file.
         """
-        everywhere = [self.path.parent, *places, shared_directory() / "config"]
+        shipped = shared_directory() / "config"
+        everywhere = [self.path.parent, *places, shipped, shipped / "weather"]
         if found := find_matches(name, everywhere):
             return found
         raise self.refuse(
@@ -243,35 +236,27 @@ class District:
         )
 
 
-def read_district(path: Path) -> tuple[District, Site]:
-    """Read and check a district file and its site file.
+def read_district(path: Path) -> District:
+    """Read and check a district file.
 
     Raises:
-        ConfigurationError: if a key is unknown, missing or invalid, if two keys contradict each
-            other, or if the site is invalid.
+        ConfigurationError: if a key is unknown, missing or invalid, or if two keys contradict each
+            other.
     """
-    content = YamlMapping()
+    record = read_record(District, path, lambda district, _: _find_mistakes(district))
+    return replace(record, path=path)
 
-    def find_mistakes(district: District, whole: YamlMapping) -> Iterator[tuple[str, str]]:
-        nonlocal content
-        content = whole
-        yield from _find_mistakes(district)
 
-    district = replace(read_record(District, path, find_mistakes), path=path, content=content)
-    site = read_site(district.site_file, district.ticks)
-    valves = {DRAIN, PLAN}.intersection(district.outlets)
-    if not site.low_outlet_valve and valves:
+def check_outlets(district: District, site: Site) -> None:
+    """Refuse outlets that the site does not have."""
+    missing = [DRAIN, PLAN] * (not site.low_outlet_valve)
+    missing += [ORIFICE] * (site.low_outlet_level is None)
+    if wrong := [outlet for outlet in district.outlets if outlet in missing]:
         raise district.refuse(
-            "site", f"needs a valve for {' and '.join(sorted(valves))}: low_outlet_level, "
-            "low_outlet_radius and low_outlet_valve, as in site_valve.yaml; alternatively, leave "
-            f"{'them' if len(valves) > 1 else 'it'} out of outlets"
+            "site", f"needs low_outlet_level, low_outlet_radius and, for a valve, "
+            f"low_outlet_valve for {' and '.join(wrong)}, as in site_valve.yaml; alternatively, "
+            "leave out of outlets what the site does not have"
         )
-    if site.low_outlet_level is None and ORIFICE in district.outlets:
-        raise district.refuse(
-            "site", "needs low_outlet_level and low_outlet_radius for orifice; alternatively, "
-            "leave orifice out of outlets"
-        )
-    return district, site
 
 
 def _find_mistakes(district: District) -> Iterator[tuple[str, str]]:
@@ -289,6 +274,10 @@ def _find_mistakes(district: District) -> Iterator[tuple[str, str]]:
         )
     if weather.cells == {}:
         yield "weather.cells", "must name at least one cell"
+    if (weather.start is None) != (weather.hours is None):
+        yield "weather", "must contain both start and hours, or neither for whole seasons"
+    if weather.season is not None and weather.start is not None:
+        yield "weather.season", "cannot be combined with start and hours of a single run"
     known = building_keys()
     for name, draw in district.draw.items():
         if name not in known:
@@ -306,16 +295,3 @@ def _find_mistakes(district: District) -> Iterator[tuple[str, str]]:
                 yield f"draw.{name}.times", "must be a key whose value is not itself multiplied"
     if not district.adoption:
         yield "adoption", "must list at least one share"
-    named: dict[str, float] = {}
-    for share in district.shares:
-        first = named.setdefault(code_share(share), share)
-        if first != share:
-            yield "adoption", (
-                f"lists {first!r} and {share!r}, which are too close together: the results of both "
-                f"would be named {code_share(share)}"
-            )
-
-
-def code_share(share: float) -> str:
-    """Return the name of an adoption level in columns and files: ``050`` for half the buildings."""
-    return f"{100 * share:03g}"

@@ -1,0 +1,85 @@
+"""Routing with EPA's SWMM: time series, the scaled network, and a district's columns."""
+
+from __future__ import annotations
+
+from datetime import datetime
+from pathlib import Path
+
+import numpy as np
+import pytest
+from districts import edit, write_district
+
+import greenroof_ros as gr
+from greenroof_ros.analysis.district.swmm import format_network, format_series, run_network
+
+pytest.importorskip("swmm.toolkit.solver")  # of the extra test
+
+START = datetime.fromisoformat("2021-07-07T22:30")
+# A storm of half an hour on 24 ha, and what a valve lets out instead, for hours (m3 in a minute).
+STORM = np.interp(np.arange(720.0), (60, 75, 90), (0, 80, 0))
+VALVE = np.concatenate((np.zeros(240), np.full(400, STORM.sum() / 400), np.zeros(80)))
+
+
+def read_seconds(line: str) -> float:
+    """Return the time of a line since the start (s): month, day, year, and the time of day."""
+    date, clock, _ = line.split()
+    month, day, year = date.split("/")
+    return (datetime.fromisoformat(f"{year}-{month}-{day}T{clock}") - START).total_seconds()
+
+
+def test_series_has_the_same_volume() -> None:
+    """Lines between its points, as SWMM interpolates; constant flows need only their ends."""
+    rng = np.random.default_rng(1)
+    for volumes in (STORM, VALVE, rng.random(500), np.full(7, 3.0), np.array([2.0])):
+        durations = np.full(len(volumes), 60.0)
+        durations[-1] = 30.0  # the last interval may be shorter
+        lines = format_series(START, durations, volumes, "test").splitlines()[2:]
+        seconds = [read_seconds(line) for line in lines]
+        flows = [float(line.split()[2]) for line in lines]
+        assert (seconds[0], seconds[-1]) == (0, durations.sum())
+        means = np.add(flows[1:], flows[:-1]) / 2
+        # Between the last two middles, the shorter interval takes part of the one before.
+        assert means @ np.diff(seconds) == pytest.approx(volumes.sum(), rel=0.3, abs=2)
+    whole = np.full(len(VALVE), 60.0)
+    assert len(format_series(START, whole, VALVE, "").splitlines()) == 2 + 2 + 4
+
+
+def route(directory: Path, volumes: np.ndarray[tuple[int], np.dtype[np.float64]],
+          area: float = 240_000.0, capacity: float = 5.0) -> dict[str, float | None]:
+    """Route a hydrograph, half of which enters at each of two nodes."""
+    durations = np.full(len(volumes), 60.0)
+    (directory / "half.dat").write_text(format_series(START, durations, volumes / 2, "test"))
+    model = directory / "model.inp"
+    model.write_text(format_network(START, durations.sum(), ["half.dat"] * 2, area, capacity))
+    return run_network(model)
+
+
+def test_overflow_of_a_combined_sewer(tmp_path: Path) -> None:
+    """The storm overflows into the river; the same water does not, let out by valves for hours."""
+    storm, valve = (route(tmp_path, volumes) for volumes in (STORM, VALVE))
+    assert 0.25 * STORM.sum() < (storm["routed_overflow_m3"] or 0.0) < STORM.sum()
+    assert valve["routed_overflow_m3"] == 0
+    # The trunk carries the storm's peak of 80 m3 a minute later and lower.
+    assert 700 < (storm["routed_peak_l_s"] or 0.0) < 80_000 / 60
+
+
+@pytest.mark.parametrize(("area", "capacity"), [(24_000.0, 5.0), (240_000.0, 10.0), (1e6, 2.0)])
+def test_capacity_of_the_scaled_network(tmp_path: Path, area: float, capacity: float) -> None:
+    """A steady flow somewhat below the capacity does not overflow, and one above it does."""
+    flow = capacity / 1000 / 60 * area  # m3 in a minute
+    for share in (0.8, 1.3):
+        routed = route(tmp_path, np.full(600, share * flow), area, capacity)
+        assert ((routed["routed_overflow_m3"] or 0.0) > 0.01 * 600 * flow) == (share > 1), share
+
+
+def test_district(tmp_path: Path) -> None:
+    """Two storms of July 2021: with valves the river gets less, and the headline is routed."""
+    text = edit("valve_share: 0.5", "outlets: [drain]").replace("site_valve", "districts/house")
+    result = gr.district(write_district(tmp_path, text), swmm=tmp_path / "swmm")
+    rows = {(row["outlet"], row["adoption"]): row for row in result.all_rows.to_dicts()}
+    as_is, drain = rows["none", 0.0], rows["drain", 1.0]
+    assert as_is["routed_overflow_m3"] > drain["routed_overflow_m3"]
+    assert as_is["routed_peak_l_s"] < as_is["peak_5min_l_s"]
+    assert rows["drain", 0.5]["routed_overflow_m3"] is None
+    assert "SWMM" in result.sentence
+    assert (tmp_path / "swmm" / "2021-07-07" / "drain_100.rpt").exists()
