@@ -69,8 +69,7 @@ setup(
     package_dir={"": "."},
     package_data={NAME: ["py.typed"], f"{NAME}.commands": ["new_site.yaml"],
                   f"{NAME}.analysis": ["page.html"], f"{NAME}.watch": ["page/*"],
-                  f"{NAME}.analysis.report": ["*.html"],
-                  f"{NAME}.analysis.district": ["page.html"]},
+                  f"{NAME}.analysis.report": ["*.html"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (SHARE.as_posix(), ["package.xml"]),
@@ -128,7 +127,7 @@ setup(
         ],
         # The graph for Foxglove and Lichtblick: their protocol, from its makers.
         "foxglove": ["foxglove-sdk>=0.30,<0.31"],  # its minor releases change the interface
-        "dask": ["distributed>=2024.1"],  # study, district --scheduler: more than one machine
+        "dask": ["distributed>=2024.1"],  # study --scheduler: more than one machine
         # The environments GreenRoof-v1 and GreenRoofVector-v1, for reinforcement learning.
         "gym": ["gymnasium>=1.1,<2", NUMBA],
         "test": [

@@ -34,7 +34,7 @@ from pictures import draw as draw_pictures
 from who_publishes import WAYS, drawing
 
 from greenroof_ros.__main__ import COMMANDS, GROUPS
-from greenroof_ros.analysis.district.district_file import (
+from greenroof_ros.analysis.district.file import (
     District,
     DistrictWeather,
     Draw,

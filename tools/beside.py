@@ -38,20 +38,14 @@ def task(hours):
 DISTRICT = f"""
 import tempfile
 from pathlib import Path
-from greenroof_ros.analysis.district.run import read_run, simulate_district
+import greenroof_ros as gr
 folder, own = Path("config/districts").resolve(), Path(tempfile.mkdtemp()) / "district.yaml"
-example = (folder / "example.yaml").read_text().replace('"2021_*.csv"', "{RECORD}")
-example = example.replace("house.yaml", f"{{folder}}/house.yaml")
+example = (folder / "example.yaml").read_text().replace("house.yaml", f"{{folder}}/house.yaml")
 def task(hours):
-    text = example.replace("1000 ", "100 ").replace(", plan]", "]").replace("4416", str(hours))
-    own.write_text(text)
-    run = read_run(own)
-    try:
-        simulate_district(run)
-    except TypeError:  # an older checkout
-        from greenroof_ros.analysis.workers.processes import this_process
-        with this_process(run.files) as workers:
-            simulate_district(run, workers)
+    period = f'file: "{RECORD}", start: 2021-05-01T00:00, hours: {{hours}}'
+    text = example.replace("file: toronto_2014-2025.csv.gz", period).replace(", plan]", "]")
+    own.write_text(text.replace("draws: 5", "draws: 1").replace("tau: 300", "tau: 60"))
+    gr.district(own)
 """
 ROOFS = """
 import gymnasium, greenroof_ros

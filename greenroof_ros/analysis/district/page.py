@@ -47,7 +47,8 @@ def _range(result: DistrictResult, flow: Flow, name: str, column: Column) -> str
     """Return the mean of a result with its range."""
     table = result.table
     row = table.row(result.storm.flows.index(flow), named=True)
-    return format_range(row[name], *(row[f"{name}_p{end}"] for end in PERCENTILES), column)
+    low, high = (row[f"{name}_p{end}"] for end in PERCENTILES)
+    return format_range(row[name], low, high, column)
 
 
 def describe_numbers(result: DistrictResult) -> str:
@@ -165,11 +166,12 @@ def _tabulate_assumptions(result: DistrictResult) -> Table:
     ]
     return Table(
         f"Some of the buildings with a green roof ({_name(best)}), with each assumption at both "
-        "ends of its range, one at a time; lowest and highest season in brackets", ["assumption", "value", *(SHOWN[name] for name in names)],
+        "ends of its range, one at a time; lowest and highest season in brackets",
+        ["assumption", "value", *(SHOWN[name] for name in names)],
         [
             [label, value, *(
-                format_range(*(getattr(rows[name], kind)() for kind in ("mean", "min", "max")),
-                             SHOWN[name]) for name in names
+                format_range(float(each.mean()), float(each.min()), float(each.max()), SHOWN[name])
+                for name in names for each in [rows[name].to_numpy()]
             )] for label, value, rows in cases
         ], frozenset({0}),
     )

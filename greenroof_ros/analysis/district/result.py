@@ -198,11 +198,13 @@ def simulate_district(
         first = first or (buildings, sites)
         for number, (season, runs) in enumerate(seasons.items(), draw * len(seasons)):
             text = f"season {season}, draw {draw + 1} of {district.draws}"
+            def report(share: float, done: int = number, text: str = text) -> None:
+                progress(text, (done + share) / scenes)
+
             scene = Scene(
                 district, buildings, sites,
                 [replace(run, forecast_choice=district.choose_forecast(draw)) for run in runs],
-                flows, threads,
-                lambda share, n=number, text=text: progress(text, (n + share) / scenes),
+                flows, threads, report,
             )
             own = scene.rows()
             if draw == 0:

@@ -141,8 +141,11 @@ def run_network(model: Path) -> dict[str, float | None]:
     The values are None if swmm-toolkit is not installed.
     """
     try:
-        from swmm.toolkit import solver
-        from swmm.toolkit.shared_enum import LinkResult, ObjectType
+        from swmm.toolkit import solver  # type: ignore[import-untyped]
+        from swmm.toolkit.shared_enum import (  # type: ignore[import-untyped]
+            LinkResult,
+            ObjectType,
+        )
     except ImportError:
         return {"routed_overflow_m3": None, "routed_peak_l_s": None}
     solver.swmm_open(*(str(model.with_suffix(suffix)) for suffix in (".inp", ".rpt", ".out")))

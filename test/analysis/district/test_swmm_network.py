@@ -32,14 +32,12 @@ def test_series_has_the_same_volume() -> None:
     rng = np.random.default_rng(1)
     for volumes in (STORM, VALVE, rng.random(500), np.full(7, 3.0), np.array([2.0])):
         durations = np.full(len(volumes), 60.0)
-        durations[-1] = 30.0  # the last interval may be shorter
         lines = format_series(START, durations, volumes, "test").splitlines()[2:]
         seconds = [read_seconds(line) for line in lines]
         flows = [float(line.split()[2]) for line in lines]
         assert (seconds[0], seconds[-1]) == (0, durations.sum())
         means = np.add(flows[1:], flows[:-1]) / 2
-        # Between the last two middles, the shorter interval takes part of the one before.
-        assert means @ np.diff(seconds) == pytest.approx(volumes.sum(), rel=0.3, abs=2)
+        assert means @ np.diff(seconds) == pytest.approx(volumes.sum(), rel=1e-7)
     whole = np.full(len(VALVE), 60.0)
     assert len(format_series(START, whole, VALVE, "").splitlines()) == 2 + 2 + 4
 
@@ -79,7 +77,8 @@ def test_district(tmp_path: Path) -> None:
     rows = {(row["outlet"], row["adoption"]): row for row in result.all_rows.to_dicts()}
     as_is, drain = rows["none", 0.0], rows["drain", 1.0]
     assert as_is["routed_overflow_m3"] > drain["routed_overflow_m3"]
-    assert as_is["routed_peak_l_s"] < as_is["peak_5min_l_s"]
+    # Hourly rain is steady for so short a trunk, which also carries 1 % of sewage.
+    assert as_is["routed_peak_l_s"] == pytest.approx(as_is["peak_60min_l_s"], rel=0.02)
     assert rows["drain", 0.5]["routed_overflow_m3"] is None
     assert "SWMM" in result.sentence
     assert (tmp_path / "swmm" / "2021-07-07" / "drain_100.rpt").exists()
