@@ -1,4 +1,4 @@
-"""Run EPA's SWMM 5, for the tests and for ``district_beside_swmm.py``."""
+"""Run EPA's SWMM 5, for the tests."""
 
 from __future__ import annotations
 
