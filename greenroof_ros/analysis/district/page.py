@@ -54,7 +54,8 @@ def _range(result: DistrictResult, flow: Flow, name: str, column: Column) -> str
 def describe_numbers(result: DistrictResult) -> str:
     """Return a sentence that says for what the numbers stand."""
     seasons = result.all_rows["season"].unique(maintain_order=True).to_list()
-    when, draws = f"{result.window}, {', '.join(seasons)}", result.district.draws
+    years = " to ".join(dict.fromkeys((seasons[0], seasons[-1])))
+    when, draws = f"{result.window}, {years}", result.district.draws
     if len(seasons) * draws == 1:
         return f"Numbers are those of one draw of the buildings in one period ({when})."
     return (
@@ -70,14 +71,14 @@ def summarise(result: DistrictResult) -> str:
     if best == AS_IS:
         return "No green roofs and cisterns of this district reduce the water in the sewer."
     counts = dict(zip(result.storm.flows, result.table["buildings"].to_list(), strict=True))
-    percent = Column("", "", share)
+    percent = Column("", "", lambda value: f"{share(value)} %")
     less, kept = (
         _range(result, best, name, percent) for name in _RESTS_ON[:2]
     )
     text = (
         f"With green roofs and cisterns on {counts[best]:,.0f} of {len(result.buildings):,} "
-        f"buildings ({_name(best)}), {less} % less water reaches the sewer in wet weather; over "
-        f"all weather, they retain {kept} % of the rain."
+        f"buildings ({_name(best)}), {less} less water reaches the sewer in wet weather; over all "
+        f"weather, they retain {kept} of the rain."
     )
     lower = [
         flow for flow in counts
@@ -85,7 +86,7 @@ def summarise(result: DistrictResult) -> str:
     ]
     if lower:
         less = _range(result, lower[-1], _RESTS_ON[0], percent)
-        text += f" On {counts[lower[-1]]:,.0f} buildings, {less} % less."
+        text += f" On {counts[lower[-1]]:,.0f} buildings, {less} less."
     for name, how in (
         ("routed_overflow_m3", "Routed through a sewer network (SWMM), the sewer overflows with"),
         ("sewer_overflow_m3", "Without routing, the flow beyond the capacity of the sewer is"),

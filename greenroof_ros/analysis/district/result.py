@@ -290,7 +290,7 @@ def _read_seasons(
             raise district.refuse(f"weather.{error.key}", error.expected, error.value) from None
         notes += [
             *list_notes(made, site),
-            *(note for run in made.values() for note in run.weather_notes()),
+            *(note for run in made.values() for note in run.forecast.notes),
         ]
         runs.append(made)
     shared = [name for name in runs[0] if all(name in each for each in runs)]
