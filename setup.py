@@ -69,7 +69,6 @@ setup(
     package_dir={"": "."},
     package_data={NAME: ["py.typed"], f"{NAME}.commands": ["new_site.yaml"],
                   f"{NAME}.analysis": ["page.html"], f"{NAME}.watch": ["page/*"],
-                  f"{NAME}.analysis.report": ["*.html"],
                   f"{NAME}.analysis.district": ["page.html"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
