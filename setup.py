@@ -68,8 +68,7 @@ setup(
     # the package's name, would be imported by a Python that starts in the folder above.
     package_dir={"": "."},
     package_data={NAME: ["py.typed"], f"{NAME}.commands": ["new_site.yaml"],
-                  f"{NAME}.analysis": ["page.html"], f"{NAME}.watch": ["page/*"],
-                  f"{NAME}.analysis.report": ["*.html"]},
+                  f"{NAME}.analysis": ["page.html"], f"{NAME}.watch": ["page/*"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (SHARE.as_posix(), ["package.xml"]),

@@ -168,21 +168,6 @@ def _distinguish(
     }
 
 
-def make_tooltips(*fields: str | tuple[str, str] | alt.Tooltip) -> list[alt.Tooltip]:
-    """Return the tooltips for some fields; numeric fields with a title show six digits.
-
-    The tooltips are built here because Altair would search all of its classes for a channel given
-    only by name, which takes longer than building the rest of a chart.
-    """
-    def tooltip(shown: str | tuple[str, str] | alt.Tooltip) -> alt.Tooltip:
-        if isinstance(shown, tuple):
-            form = ".6~g" if shown[0].endswith(":Q") else alt.Undefined
-            return alt.Tooltip(shown[0], title=shown[1], format=form)
-        return alt.Tooltip(shown) if isinstance(shown, str) else shown
-
-    return list(map(tooltip, fields))
-
-
 def cycle_choices(choices: Sequence[Any], values: Sequence[str]) -> alt.Scale:
     """Return a scale that maps values to choices, which are reused if there are too few."""
     chosen = dict(zip(values, itertools.cycle(choices)))

@@ -49,8 +49,8 @@ def main() -> None:
     with require_extra("study"):
         from greenroof_ros.analysis.page import claim_output, write_output
         from greenroof_ros.analysis.report.cases import Report
-        from greenroof_ros.analysis.report.contents import render
         from greenroof_ros.analysis.report.figures import make_figures
+        from greenroof_ros.analysis.report.page import render
         from greenroof_ros.analysis.report.sources import find_runs
     output: Path = arguments.output or arguments.paths[0] / "report"
     with ProgressBar() as progress:

@@ -22,13 +22,7 @@ from greenroof_ros.analysis.calibration.step_record import (
     Values,
     name_time,
 )
-from greenroof_ros.analysis.figures import (
-    Figure,
-    Rows,
-    make_tooltips,
-    round_value,
-    series_panel,
-)
+from greenroof_ros.analysis.figures import Figure, Rows, round_value, series_panel
 from greenroof_ros.analysis.page import Section, make_page
 from greenroof_ros.analysis.tables import Column, Table
 from greenroof_ros.site.file import SITE_KEYS
@@ -110,10 +104,8 @@ def render(made: Calibration) -> str:
 # For every quantity: the title of its figure, and how many mm make one of its unit.
 _QUANTITIES = {"runoff": ("Runoff", 1.0), "level": ("Level on the roof", 1000.0)}
 
-
 _TIME = alt.X("t:T", title=None, scale=alt.Scale(type="utc"),
               axis=alt.Axis(tickCount=8, format="%d %b %y"))
-_WHEN = alt.Tooltip("t:T", title="day", timeUnit="utcyearmonthdate", format="%Y-%m-%d")
 
 
 def draw_quantity(
@@ -141,12 +133,9 @@ def draw_quantity(
         (data, "Residuals", "error", "part", [*halves], f"error, {axis}", True),
     ):
         lines = chart.mark_line(
-            clip=True, strokeWidth=1.2, interpolate="step-after", point="transparent"
+            clip=True, strokeWidth=1.2, interpolate="step-after"
         ).encode(
             x=_TIME, y=alt.Y(f"{value}:Q", title=label, scale=alt.Scale(zero=zero)),
-            tooltip=make_tooltips(
-                f"{field}:N", _WHEN, alt.Tooltip(f"{value}:Q", title=label, format=".4~g")
-            ),
         )
         panels.append(series_panel(lines, field, names, heading, [rule]))
     return Figure(name, title, caption, tuple(panels), 2, {f"{name}-days": days})

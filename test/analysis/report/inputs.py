@@ -24,8 +24,8 @@ from rosbags.typesys import Stores, get_typestore
 
 from greenroof_ros.analysis.figures import Figure
 from greenroof_ros.analysis.report.cases import Report
-from greenroof_ros.analysis.report.contents import render
 from greenroof_ros.analysis.report.figures import make_figures
+from greenroof_ros.analysis.report.page import render
 from greenroof_ros.analysis.report.sources import find_runs
 from greenroof_ros.physics.storm_water import Event
 from greenroof_ros.results.trajectory import Trajectory

@@ -13,7 +13,7 @@ from refusals import refusal
 from studies import record, run_here
 
 from greenroof_ros.analysis.report.cases import BOUND, TOTAL
-from greenroof_ros.analysis.report.contents import answer, make_full_table, make_notes, make_table
+from greenroof_ros.analysis.report.page import answer, make_full_table, make_notes, make_table
 
 YEARS = range(2015, 2026)
 ONOFF = {year: 100.0 + 10 * (year - 2015) for year in YEARS}

@@ -37,7 +37,7 @@ from refusals import refusal
 from rosbags.rosbag2 import StoragePlugin
 
 from greenroof_ros.analysis.report.bags import Row, read_run
-from greenroof_ros.analysis.report.contents import make_notes
+from greenroof_ros.analysis.report.page import make_notes
 from greenroof_ros.analysis.report.sources import find_runs
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.commands.recover import recover

@@ -8,7 +8,7 @@ import pytest
 from browsers import started_browser
 from inputs import ended_run, figures_of, report_of, simulate, write_study
 
-from greenroof_ros.analysis.report.contents import render
+from greenroof_ros.analysis.report.page import render
 
 WIDEST = """Math.max(document.documentElement.scrollWidth, ...[...document.querySelectorAll(
     'img')].map((image) => image.getBoundingClientRect().right))"""
