@@ -4,19 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from datetime import timedelta
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import altair as alt
 import numpy as np
 
 from greenroof_ros.analysis.district.file import DRAIN, NO_FORECAST, NONE, ORIFICE, PLAN
-from greenroof_ros.analysis.district.result import PERCENTILES, DistrictResult, find_best
-from greenroof_ros.analysis.district.scene import AS_IS, PEAK_MIN, Flow
+from greenroof_ros.analysis.district.scene import AS_IS, PEAK_MIN, PERCENTILES, Flow, find_best
 from greenroof_ros.analysis.figures import Figure, Panel, Rows, distinguish_series, round_value
 from greenroof_ros.analysis.page import Section, make_page
 from greenroof_ros.analysis.tables import COLUMNS, Column, Table, format_number, format_range
 from greenroof_ros.analysis.tables import format_share as share
 from greenroof_ros.base.text import number_of
+
+if TYPE_CHECKING:
+    from greenroof_ros.analysis.district.result import DistrictResult
 
 _LABELS = {NONE: "overflow only", ORIFICE: "orifice", DRAIN: "valve, drain", PLAN: "valve, plan"}
 _ROUTED = {

@@ -19,7 +19,13 @@ from greenroof_ros.analysis.assumptions import Assumption, list_ends
 from greenroof_ros.analysis.district import swmm
 from greenroof_ros.analysis.district.buildings import Buildings, make_buildings, make_sites
 from greenroof_ros.analysis.district.file import District, check_outlets, read_district
-from greenroof_ros.analysis.district.scene import AS_IS, Flow, Scene, list_flows
+from greenroof_ros.analysis.district.scene import (
+    AS_IS,
+    PERCENTILES,
+    Scene,
+    find_best,
+    list_flows,
+)
 from greenroof_ros.analysis.page import claim_output, write_output
 from greenroof_ros.analysis.seasons import find_seasons, list_notes, read_window
 from greenroof_ros.base.errors import ConfigurationError
@@ -36,8 +42,6 @@ PAGE, TABLES = "page.html", ("results.csv", "seasons.csv", "buildings.csv")
 FILES = (*TABLES, "hydrographs.parquet", "district.yaml", "swmm")
 """other files of the output than the page and its figures"""
 _KEYS = ("draw", "season", "outlet", "adoption")
-PERCENTILES = (5, 95)
-"""the percentiles of the range that is stated for every result"""
 
 Seasons = dict[str, list[Run]]
 """run of the site in each cell, by the name of the season"""
@@ -245,14 +249,6 @@ def simulate_district(
         _tabulate_buildings(district, buildings, [scene for scene, _ in kept]), tested,
         list(dict.fromkeys(notes)),
     )
-
-
-def find_best(rows: pl.DataFrame) -> Flow:
-    """Return the flow with the least discharge in wet weather."""
-    means = rows.group_by("outlet", "adoption", maintain_order=True).agg(
-        pl.col("wet_discharge_m3").mean()
-    ).sort("wet_discharge_m3", maintain_order=True)
-    return Flow(*means.row(0)[:2])
 
 
 def _read_seasons(

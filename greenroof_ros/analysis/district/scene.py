@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -30,6 +30,9 @@ from greenroof_ros.simulation.run import Run
 from greenroof_ros.simulation.season import Case, simulate_season
 from greenroof_ros.site.file import check_site
 from greenroof_ros.site.site import WITHOUT_VALVE, Site
+
+if TYPE_CHECKING:
+    import polars
 
 PEAK_MIN = (5, 15, 60)
 """times over which the flow is averaged for a peak (min)"""
@@ -54,6 +57,9 @@ class Flow(NamedTuple):
         return f"{self.outlet}_{100 * self.adoption:03g}" if self.adoption else "as_is"
 
 
+PERCENTILES = (5, 95)
+"""the percentiles of the range that is stated for every result"""
+
 AS_IS = Flow(NONE, 0.0)
 """no building has a green roof or a cistern"""
 
@@ -62,6 +68,13 @@ def list_flows(district: District) -> list[Flow]:
     """Return the district as it is, and every kind of outlet at every level of adoption."""
     outlets = [name for name in OUTLETS if name in (NONE, *district.outlets)]
     return [AS_IS, *(Flow(name, share) for name in outlets for share in district.shares)]
+
+
+def find_best(rows: polars.DataFrame) -> Flow:
+    """Return the flow with the least discharge in wet weather."""
+    wet = rows["outlet", "adoption", "wet_discharge_m3"]
+    means = wet.group_by("outlet", "adoption", maintain_order=True).mean()
+    return Flow(*means.sort("wet_discharge_m3", maintain_order=True)["outlet", "adoption"].row(0))
 
 
 class Scene:

@@ -9,8 +9,8 @@ from paper import site_file
 from studies import WEATHER, archive, grid, record, rows_of, run_here
 
 from greenroof_ros.analysis.report.cases import Report
-from greenroof_ros.analysis.report.page import make_table
 from greenroof_ros.analysis.report.figures import make_figures
+from greenroof_ros.analysis.report.page import make_table
 from greenroof_ros.analysis.report.sources import find_runs
 from greenroof_ros.analysis.study.grid import read_grid
 from greenroof_ros.analysis.study.names import Names
