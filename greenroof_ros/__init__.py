@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     from typing import Any
 
     from greenroof_ros.analysis.calibration.result import calibrate
+    from greenroof_ros.analysis.study import study
     from greenroof_ros.analysis.verification.result import verify
     from greenroof_ros.api.district import district
     from greenroof_ros.api.environment import Environment
@@ -21,7 +22,7 @@ __version__ = "1.0.0"
 
 __all__ = [
     "Environment", "Result", "calibrate", "compare", "district", "read_bag", "read_site",
-    "scenarios", "score", "simulate", "size", "verify",
+    "scenarios", "score", "simulate", "size", "study", "verify",
 ]
 
 # The module of each of these names.
@@ -30,7 +31,8 @@ _MODULES = {
     "calibrate": "analysis.calibration.result", "compare": "api.simulate",
     "district": "api.district", "read_bag": "api.simulate", "read_site": "api.simulate",
     "scenarios": "api.scenarios", "score": "api.scenarios", "simulate": "api.simulate",
-    "size": "api.size", "verify": "analysis.verification.result",
+    "size": "api.size", "study": "analysis.study",
+    "verify": "analysis.verification.result",
 }
 
 

@@ -32,8 +32,8 @@ from places import words_of
 
 _ROOMS = (
     "base", "interface", "controllers", "physics", "results", "simulation", "live.pumping",
-    "live.devices", "live.simulators", "watch", "analysis.report", "analysis.workers",
-    "analysis.study", "analysis.sizing", "analysis.district", "analysis.calibration",
+    "live.devices", "live.simulators", "watch", "analysis", "analysis.report", "analysis.sizing",
+    "analysis.district", "analysis.calibration",
     "analysis.verification", "ros", "bringup", "nodes", "live",
 )
 _OF_ROS = ("ros", "bringup", "nodes", "live")

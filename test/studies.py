@@ -6,15 +6,17 @@ import csv
 import os
 import subprocess
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from datetime import datetime, timedelta, timezone
 from pathlib import Path
 
 from commands import Forked, run_command
 
-from greenroof_ros.analysis.study.case_run import bound_case, bound_discharge, run_case
-from greenroof_ros.analysis.study.grid import read_grid
-from greenroof_ros.analysis.study.store import StudyStore
+from greenroof_ros.analysis.case import Case
+from greenroof_ros.analysis.grid import read_grid
+from greenroof_ros.analysis.store import StudyStore
+from greenroof_ros.analysis.study import run_study
 from greenroof_ros.base.files import shared_directory
 
 CONFIG = shared_directory() / "config"
@@ -49,24 +51,32 @@ def begun(directory: Path, *options: str, **variables: str) -> subprocess.Popen[
     )
 
 
+def cases_of(file: Path, weather: Path | None = None) -> list[Case]:
+    """Return the runs of a grid."""
+    return read_grid(file, weather).cases
+
+
+def write_inputs(files: Mapping[str, bytes], directory: Path) -> None:
+    """Write input files to a directory."""
+    for name, content in files.items():
+        (directory / name).write_bytes(content)
+
+
 def store_of(directory: Path, *, trajectory_every: float | None = 0.0) -> StudyStore:
     """Begin the study of the grid in a directory, or continue it."""
-    file = directory / "grid.yaml"
-    return StudyStore(directory / "out", file, read_grid(file), trajectory_every=trajectory_every)
+    grid = read_grid(directory / "grid.yaml")
+    return StudyStore(
+        directory / "out", grid.cases, grid.files.contents, trajectory_every=trajectory_every,
+        show=grid.show,
+    )
 
 
 def run_here(directory: Path, text: str) -> StudyStore:
-    """Do all runs of a grid in this process."""
+    """Do all runs of a grid."""
     grid(directory, text)
     store = store_of(directory)
-    inputs = directory / "out" / "configuration"
-    for case in store.cases:
-        store.write_outcome(case, run_case(inputs, case, store.trajectory_every))
-        if case.bound_block != 0 and case.bound_identity not in store.bounds:
-            store.write_bound(case.bound_identity, bound_case(inputs, case))
-        identity = case.discharge_bound_identity
-        if identity and identity not in store.bounds:
-            store.write_bound(identity, bound_discharge(inputs, case))
+    with ThreadPoolExecutor(1) as executor:
+        run_study(store, executor=executor)
     store.write_table()
     return store
 

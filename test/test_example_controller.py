@@ -7,10 +7,9 @@ from pathlib import Path
 
 import pytest
 from places import CHECKOUT
-from studies import GRID
+from studies import GRID, cases_of
 
-from greenroof_ros.analysis.study.grid import read_grid
-from greenroof_ros.analysis.study.own_code import identify_code
+from greenroof_ros.analysis.case import identify_code
 
 # What changes, and whether it is code of the controller: its module, and what it imports.
 CHANGED = {
@@ -40,11 +39,11 @@ def test_another_state_of_its_code_is_another_run(
     (tmp_path / "grid.yaml").write_text(grid)
     identify_code.cache_clear()
     try:
-        identities = [read_grid(tmp_path / "grid.yaml")[0].identity for _ in range(2)]
+        identities = [cases_of(tmp_path / "grid.yaml")[0].identity for _ in range(2)]
         with (tmp_path / changed).open("a") as stream:
             stream.write("# changed\n")
         identify_code.cache_clear()  # as in another process
-        after = read_grid(tmp_path / "grid.yaml")[0].identity
+        after = cases_of(tmp_path / "grid.yaml")[0].identity
     finally:
         for name in [name for name in sys.modules if name.startswith("my_")]:
             del sys.modules[name]

@@ -2,28 +2,22 @@
 
 from __future__ import annotations
 
+import math
 import sys
-from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Future, wait
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from statistics import fmean
-from typing import Any, TypeAlias
+from typing import Any
 
 import yaml
 from rich.table import Column, Table
 
-from greenroof_ros.analysis.study.case import Case, collect_contents
-from greenroof_ros.analysis.study.case_run import bound_case, bound_discharge, run_case
-from greenroof_ros.analysis.study.grid import read_grid
-from greenroof_ros.analysis.study.names import Names
-from greenroof_ros.analysis.study.store import StudyStore
-from greenroof_ros.analysis.workers.choice import (
-    add_worker_arguments,
-    check_workers,
-    describe_end,
-    open_workers,
-)
-from greenroof_ros.analysis.workers.processes import Workers
+from greenroof_ros.analysis.executors import WorkersLostError, open_dask
+from greenroof_ros.analysis.grid import read_grid
+from greenroof_ros.analysis.store import StudyStore
+from greenroof_ros.analysis.study import run_study
+from greenroof_ros.analysis.tables import COLUMNS, format_range
 from greenroof_ros.base.command_line import (
     EXIT_DONE,
     EXIT_FAILED,
@@ -31,32 +25,25 @@ from greenroof_ros.base.command_line import (
     Parser,
     command,
     make_number_type,
+    refuse,
 )
 from greenroof_ros.base.console import PlainConsole
-from greenroof_ros.base.files import find_shipped, replace_text, shared_directory
+from greenroof_ros.base.files import find_shipped
 from greenroof_ros.base.processes import InterruptedRun, Signals
 from greenroof_ros.base.progress import ProgressBar
 from greenroof_ros.base.text import escape
-from greenroof_ros.controllers.onoff import OnOff
-from greenroof_ros.physics.compiled import note_if_slow
-from greenroof_ros.simulation.screen import print_weather
 from greenroof_ros.weather.summary import as_lines
 
-_Bounds: TypeAlias = dict[str, tuple[Callable[[Path, Case], dict[str, float]], Case]]
-"""Functions that compute bounds, each with a case, by the identity of the bound."""
-
-_REFRESH_S = 0.5
-# What every worker needs.
-_PRELOADED = [
-    "greenroof_ros.analysis.study.case_run", "greenroof_ros.controllers.mpc",
-    "greenroof_ros.controllers.lookahead", "osqp", "polars", "scipy.optimize",
-]
+# The bounds of metrics, by the metrics' names.
+_BOUNDS = {
+    "total_deviation_m3": "bound_m3", "wet_discharge_m3": "bound_wet_discharge_m3",
+    "mains_m3": "bound_mains_m3",
+}
 _NOTES = {
     "filled_hours": "had missing hours of weather filled in",
     "frost_hours": "had frost, in which nothing was pumped",
     "limited_steps": "had a tank run empty",
 }
-
 _DESCRIPTION = """\
 Run every combination of the sites, weather windows, initial states, controllers and parameters in a
 grid in parallel, and collect the results in one table, results.csv. Without a grid, the command
@@ -78,8 +65,8 @@ def make_parser() -> Parser:
     parser = Parser(prog="greenroof study", description=_DESCRIPTION, epilog=_EPILOG)
     parser.add_argument(
         "grid", nargs="?", type=Path, metavar="GRID.yaml",
-        help="grid file, your own or one of this package's (default: the paper's, "
-        "config/studies/paper.yaml)",
+        default=Path("config/studies/paper.yaml"), help="grid file, your own or one of this "
+        "package's (default: the paper's, %(default)s)",
     )
     parser.add_argument(
         "--output", type=Path, metavar="DIR",
@@ -89,9 +76,18 @@ def make_parser() -> Parser:
     parser.add_argument(
         "--weather", type=Path, metavar="DIR",
         help="look in this directory for weather files that are named in the grid but are not "
-        "next to the grid file, such as the multi-year record for config/studies/seasons.yaml",
+        "next to the grid file",
     )
-    add_worker_arguments(parser, "runs", "run N runs at a time")
+    parser.add_argument(
+        "--jobs", type=make_number_type(1, 1024, int), metavar="N",
+        help="use N threads, and N processes for controllers that are not compiled (default: one "
+        "per core)",
+    )
+    parser.add_argument(
+        "--scheduler", metavar="ADDRESS",
+        help="run on a Dask cluster, such as tcp://10.0.0.1:8786, instead of on this machine; its "
+        "workers need greenroof_ros[dask,study]",
+    )
     trajectories = parser.add_mutually_exclusive_group()
     trajectories.add_argument(
         "--trajectory-every", type=make_number_type(0, 1e9), default=0.0, metavar="S",
@@ -99,7 +95,7 @@ def make_parser() -> Parser:
         "tick). If all one-second ticks are kept, half a year takes up a gigabyte of memory",
     )
     trajectories.add_argument(
-        "--no-trajectories", action="store_true",
+        "--no-trajectories", dest="trajectory_every", action="store_const", const=None,
         help="keep only the table and the rain events, for studies with thousands of runs. A "
         "report then contains no figures of weather, commands and volumes",
     )
@@ -110,150 +106,91 @@ def make_parser() -> Parser:
 def main() -> int:
     """Run the cases of a study that have not been completed yet."""
     arguments = make_parser().parse_args()
-    check_workers(arguments)
-    grid = shared_directory() / "config/studies/paper.yaml"
-    if arguments.grid is not None:
-        grid = find_shipped(arguments.grid)
-    contents = dict[str, list[str]]()
-
-    def note_weather(summary: Mapping[str, Any], name: str) -> None:
-        contents[f"{name} from {summary['from']}"] = as_lines(summary)
-        print_weather(summary, name)
-
-    cases = read_grid(grid, arguments.weather, note_weather)
-    every = None if arguments.no_trajectories else arguments.trajectory_every
+    weather: Path | None = arguments.weather
+    refuse((
+        weather is not None and not weather.is_dir(), "--weather", str(weather),
+        "must be a directory with weather files",
+    ))
+    path = find_shipped(arguments.grid)
+    grid, records = read_grid(path, weather), dict[str, list[str]]()
+    for run, _ in grid.files.runs.values():
+        name = f"{Path(run.weather.source).name}, {run.steps * run.site.tau / 3600:g} h"
+        records[f"{name} from {run.start}"] = as_lines(run.series.summary)
+    # A report shows what the weather contains among the study's configuration.
+    grid.files.contents["weather.yaml"] = yaml.safe_dump(
+        records, sort_keys=False, allow_unicode=True, width=1000
+    ).encode()
     store = StudyStore(
-        arguments.output or Path("studies") / grid.stem, grid, cases, trajectory_every=every
+        arguments.output or Path("studies") / path.stem, grid.cases, grid.files.contents,
+        trajectory_every=arguments.trajectory_every, show=grid.show,
     )
-    # A report shows it among the study's configuration.
-    replace_text(
-        store.directory / "configuration" / "weather.yaml",
-        yaml.safe_dump(contents, sort_keys=False, allow_unicode=True, width=1000),
-    )
-    open_cases = [case for case in cases if case.identity not in store.outcomes]
-    bounds: _Bounds = {}
-    for case in cases:
-        if case.bound_block != 0:
-            bounds[case.bound_identity] = bound_case, case
-        if case.discharge_bound_identity:
-            bounds[case.discharge_bound_identity] = bound_discharge, case
-    bounds = {identity: each for identity, each in bounds.items() if identity not in store.bounds}
-    if store.outcomes:
-        print(f"{len(store.outcomes)} of {len(cases)} runs are already stored", file=sys.stderr)
-    compiled = [case for case in open_cases if case.inputs.controller.kind is OnOff]
-    compiled += [case for bound, case in bounds.values() if bound is bound_discharge]
-    note_if_slow(sum(case.ticks for case in compiled))
-    signals: Signals | None = None
+    if store.results:
+        print(f"{len(store.results)} of {len(grid.cases)} runs are stored", file=sys.stderr)
+    signals = Signals()  # from now on a signal ends the study between two results
     try:
-        if open_cases or bounds:
-            with open_workers(arguments, collect_contents(cases), _PRELOADED) as workers:
-                signals = Signals()  # from now on a signal ends the study between two results
-                _run(store, open_cases, bounds, workers, signals)
-    except (BrokenExecutor, InterruptedRun) as error:
-        why, code = describe_end(error, signals)
+        with ExitStack() as stack:
+            executor = None
+            if arguments.scheduler is not None:
+                executor = stack.enter_context(open_dask(arguments.scheduler))
+            bar = stack.enter_context(ProgressBar())
+
+            def report(share: float) -> None:
+                signals.check()
+                bar.show(f"{len(store.results)} of {len(grid.cases)} runs", share)
+
+            run_study(
+                store, executor=executor, jobs=arguments.jobs, progress=report,
+                tell=lambda text: print(escape(text), file=sys.stderr),
+            )
+    except (WorkersLostError, InterruptedRun) as error:
+        # A signal that a batch system sends to all processes also stops the workers.
+        received = signals.received
+        why = f"error: {error}" if received is None else f"interrupted by {received.name}"
         print(escape(
-            f"{why}: {len(store.outcomes)} of {len(cases)} cases are stored; run the same command "
-            "again to continue"
+            f"{why}: {len(store.results)} of {len(grid.cases)} cases are stored; run the same "
+            "command again to continue"
         ), file=sys.stderr)
-        return code
+        return EXIT_FAILED if received is None else EXIT_INTERRUPTED
     finally:
         rows = store.write_table()
-    show(rows, store.directory)
-    if signals is not None and signals.received:  # after the last result
-        return EXIT_INTERRUPTED
+    show(rows, grid.show)
+    print(escape(f"written to {store.directory / 'results.csv'}"))
     return EXIT_FAILED if store.failures else EXIT_DONE
 
 
-def _run(
-    store: StudyStore, cases: Sequence[Case], bounds: _Bounds, workers: Workers, signals: Signals
-) -> None:
-    """Run the given cases and compute the given bounds; store each result as it arrives."""
-    names = Names(store.cases)
-    # The longest first, or at the end one core may have a long run while the others are idle.
-    cases = sorted(cases, key=lambda case: (
-        not case.inputs.controller.ensemble, not case.inputs.controller.outputs, -case.hours,
-        case.weather_name, case.start,
-    ))
-    # Each with the identity of its bound, which is empty for a run.
-    pending: dict[Future[Any], tuple[Case, str]] = {
-        workers.submit(bound, case): (case, identity) for identity, (bound, case) in bounds.items()
-    }
-    pending |= {
-        workers.submit(run_case, case, store.trajectory_every): (case, "") for case in cases
-    }
-    tasks, runs = len(pending), 0
-    with ProgressBar() as progress:
-        while pending:
-            progress.show(f"{runs} of {len(cases)} runs", 1 - len(pending) / tasks)
-            workers.check()
-            done, _ = wait(pending, timeout=_REFRESH_S, return_when=FIRST_COMPLETED)
-            broken: Exception | None = None
-            for future in done:
-                case, identity = pending.pop(future)
-                try:
-                    result = workers.result(future)
-                except (BrokenExecutor, CancelledError) as error:
-                    broken = error  # raised once all results that came before are stored
-                    continue
-                except Exception as error:  # raised by the run
-                    _report_failure(store, names, case, error, is_run=not identity)
-                else:
-                    if identity:
-                        store.write_bound(identity, result)
-                    else:
-                        store.write_outcome(case, result)
-                runs += not identity
-            if broken is not None:
-                raise broken
-            signals.check()
-
-
-def _report_failure(
-    store: StudyStore, names: Names, case: Case, error: Exception, *, is_run: bool
-) -> None:
-    """Print the reason for a failed run or a missing bound; keep a run's reason for the table."""
-    what, reason = "no bound", str(error) or type(error).__name__
-    if is_run:  # a missing bound is no failure
-        what, store.failures[case.identity] = "failed", reason
-    name = ", ".join(filter(None, names.columns(case).values()))
-    name += f", {case.inputs.initial}, run {case.identity}"
-    print(escape(f"{what}: {name}: {reason}"), file=sys.stderr)
-
-
-def show(rows: Sequence[Mapping[str, Any]], directory: Path) -> None:
-    """Print the mean deviations for each window, with cases as rows and initial states as columns.
+def show(rows: Sequence[Mapping[str, Any]], metrics: Sequence[str]) -> None:
+    """Print the mean of each metric over years and seeds, with its range, the lowest mean first.
 
     Args:
         rows: rows of the study's ``results.csv``, one for each run.
-        directory: directory of the study.
+        metrics: names of the metrics.
     """
-    console = PlainConsole()
-    windows: dict[str, dict[str, dict[str, list[float | None]]]] = {}
+    console, places = PlainConsole(), dict[str, dict[str, list[Mapping[str, Any]]]]()
     for row in rows:
-        cases = windows.setdefault(row["window"], {})
-        means = cases.setdefault(row["case"], {}).setdefault(row["initial"], [])
-        means.append(row.get("mean_deviation_mm"))
-    for window, cases in windows.items():
-        initials = list(dict.fromkeys(initial for case in cases.values() for initial in case))
-        table = Table(
-            "case", *(Column(initial, justify="right") for initial in initials),
-            title=f"Mean deviation from the target level (mm): {window}", title_justify="left",
-        )
-        for case, of_case in cases.items():
-            table.add_row(case, *(_mean(of_case.get(initial, [])) for initial in initials))
+        if row["status"] == "done":
+            cases = places.setdefault(f"{row['window']}, from {row['initial']}", {})
+            cases.setdefault(row["case"], []).append(row)
+    for place, cases in places.items():
+        headings = (Column(COLUMNS[name].heading, justify="right") for name in metrics)
+        table = Table("case", *headings, title=place, title_justify="left")
+        lines = {
+            case: [_list_known(runs, name) for name in metrics] for case, runs in cases.items()
+        }
+        every = [run for runs in cases.values() for run in runs]
+        least = [_list_known(every, _BOUNDS.get(name, "")) for name in metrics]
+        for case, values in [
+            *[("minimum possible", least)] * any(least),
+            *sorted(lines.items(), key=lambda line: fmean(line[1][0] or [math.inf])),
+        ]:
+            table.add_row(case, *(
+                format_range(fmean(each), min(each), max(each), COLUMNS[name]) if each else ""
+                for name, each in zip(metrics, values, strict=True)
+            ))
         console.print(table)
     for column, what in _NOTES.items():
-        count = sum(bool(row.get(column)) for row in rows)
-        if count:
+        if count := sum(bool(row.get(column)) for row in rows):
             console.print(f"NOTE: {count} of {len(rows)} runs {what} (column {column})")
-    console.print(f"written to {directory / 'results.csv'}", soft_wrap=True)
 
 
-def _mean(values: Sequence[float | None]) -> str:
-    """Return the mean over seeds and years, and the number of runs without a result."""
-    known = [value for value in values if value is not None]
-    lacking = len(values) - len(known)
-    return " ".join([
-        *([f"{fmean(known):.2f}"] if known else []),
-        *([f"({lacking} without result)"] if lacking else []),
-    ])
+def _list_known(runs: Sequence[Mapping[str, Any]], name: str) -> list[float]:
+    return [run[name] for run in runs if run.get(name) is not None]

@@ -15,7 +15,7 @@ from commands import run_command
 from places import CONFIG
 from refusals import refusal
 
-from greenroof_ros.analysis.study.grid import read_grid
+from greenroof_ros.analysis.grid import read_grid
 from greenroof_ros.base.errors import ConfigurationError, describe_value
 from greenroof_ros.base.files import read_text, read_yaml
 from greenroof_ros.live.devices.drive_file import read_drive_file

@@ -6,13 +6,7 @@ import csv
 import re
 from pathlib import Path
 
-import pytest
 from places import CHECKOUT
-
-from greenroof_ros.analysis.study.case import collect_contents
-from greenroof_ros.analysis.study.case_run import run_case
-from greenroof_ros.analysis.study.grid import read_grid
-from greenroof_ros.analysis.workers.input_files import write_inputs
 
 PAGE = (CHECKOUT / "doc" / "results.md").read_text()
 STUDIES = CHECKOUT / "config" / "studies"
@@ -31,12 +25,12 @@ def test_every_study_of_the_package_is_named() -> None:
     """Except one that a user's gauge needs, and two on the page about the controllers."""
     named = set(re.findall(r"greenroof study config/studies/(\w+)\.yaml", PAGE))
     assert named == {path.stem for path in STUDIES.iterdir()} - {
-        "paper", "storm_water_issued", "reach", "whole_openings",
+        "storm_water_issued", "reach", "whole_openings",
     }
 
 
 def test_the_papers_runs(papers: Path) -> None:
-    table = rows("methods")
+    table = rows("paper")
     compared = 0
     with (papers / "results.csv").open(newline="", encoding="utf-8") as stream:
         for row in csv.DictReader(stream):
@@ -45,16 +39,6 @@ def test_the_papers_runs(papers: Path) -> None:
                 name = "mpc, `weight`" if row["controller"] == "mpc" else "on/off, `fraction`"
                 total, mean = table[f"{name} {value:.5f}".rstrip("0").rstrip(".")]
                 assert total.split(" / ")[0] == f"{float(row['total_deviation_m3']):.0f}"
-                assert mean.split(" / ")[0] == f"{float(row['mean_deviation_mm']):.2f}"
+                assert mean == f"{float(row['mean_deviation_mm']):.2f}"
                 compared += 1
     assert compared == len(table) == 10
-
-
-@pytest.mark.parametrize(("controller", "name"), [("onoff", "on/off"), ("lookahead", "lookahead")])
-def test_a_storm(controller: str, name: str, tmp_path: Path) -> None:
-    _, case = (
-        case for case in read_grid(STUDIES / "windows.yaml") if case.controller == controller
-    )
-    write_inputs(collect_contents([case]), tmp_path)
-    mean = run_case(tmp_path, case, None).results["mean_deviation_mm"]
-    assert rows("windows")[name][1].split("<br>")[0] == f"{mean:.2f}"

@@ -6,10 +6,9 @@ from pathlib import Path
 
 import pytest
 from refusals import refusal
-from studies import GRID, grid
+from studies import GRID, cases_of, grid
 
 import greenroof_ros as gr
-from greenroof_ros.analysis.study.grid import read_grid
 from greenroof_ros.base.files import shared_directory
 from greenroof_ros.physics.pump import maximum_pump_flow
 from greenroof_ros.site.file import DETERMINES, format_site, read_site
@@ -192,13 +191,7 @@ def test_in_python_and_in_the_grid_of_a_study(tmp_path: Path) -> None:
         str(shared_directory() / "config" / "site.yaml"),
         "{file: house.yaml, roof_area: [60, 120], substrate: [extensive, intensive]}",
     ).replace("cistern: 40.0", "cistern: 4.0")
-    sites = {case.site for case in read_grid(tmp_path / grid(tmp_path, text))}
-    carried = {}
-    for each in sites:
-        (tmp_path / each.name).write_bytes(each.content)
-        read = read_site(tmp_path / each.name)
-        carried[each.name] = read.a2, read.field_capacity
-    assert carried == {
-        f"house_roof_area-{area}_substrate-{soil}.yaml": (area, capacity) for area in (60, 120)
-        for soil, capacity in (("extensive", 0.35), ("intensive", 0.45))
+    sites = {case.site for case in cases_of(tmp_path / grid(tmp_path, text))}
+    assert {(site.a2, site.field_capacity) for site in sites} == {
+        (area, capacity) for area in (60, 120) for capacity in (0.35, 0.45)
     }

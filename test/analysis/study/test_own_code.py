@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from greenroof_ros.analysis.study.own_code import identify_code
+from greenroof_ros.analysis.case import identify_code
 from greenroof_ros.controllers.registry import find_controller
 
 OWN = """

@@ -2,18 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterable
+from collections import Counter
 from pathlib import Path
 
 from paper import site_file
-from studies import WEATHER, archive, grid, record, rows_of, run_here
+from studies import WEATHER, archive, cases_of, grid, record, rows_of, run_here
 
-from greenroof_ros.analysis.report.cases import Report
-from greenroof_ros.analysis.report.figures import make_figures
-from greenroof_ros.analysis.report.page import make_table
-from greenroof_ros.analysis.report.sources import find_runs
-from greenroof_ros.analysis.study.grid import read_grid
-from greenroof_ros.analysis.study.names import Names
+from greenroof_ros.analysis.names import name_cases, tell_apart
 
 # Windows, forecasts, errors and settings: files with one name in two folders, and numbers that
 # differ in late digits.
@@ -36,76 +31,104 @@ controllers:
   mpc: {weight: [0.001, 0.0010000001], max_command: 1.0}
   onoff: {fraction: 0.5}
 """
+# Without forecasts, onoff runs once a window. The window of the forecasts is that of the second.
 WINDOWS = 2 * (2 + 1 + 1 + 1)
-RUNS = (2 + 1 + 1 + 1 + 2 + 4) * 2 * 2 * (2 + 1)
-
-
-def write_inputs(directory: Path) -> None:
-    """Write two sites, storms and archives of forecasts with the same names."""
-    weather, dry = WEATHER.read_text(), "2021-07-07T02:00-05:00,0.0,"
-    assert weather.count(dry) == 1
-    for folder, soil, rain in (("north", 0.5, 4.0), ("south", 0.4, 5.0)):
-        place = directory / folder
-        place.mkdir()
-        site_file(place, z_soil=soil)
-        (place / "storm.csv").write_text(weather.replace(dry, dry.replace("0.0", str(rain))))
-        archive(place, rain)
-
-
-def distinct(labels: Iterable[Hashable], count: int | None = None) -> None:
-    """Check that no label occurs twice, and optionally how many there are."""
-    there = list(labels)
-    twice = [label for label in set(there) if there.count(label) > 1]
-    assert not twice
-    assert there and (count is None or len(there) == count)
+RUNS = 2 * 2 * ((2 + 1 + 1 + 1 + 2 + 4) * 2 + 2 + 1 + 1 + 1)
 
 
 def test_no_name_occurs_twice(tmp_path: Path) -> None:
-    """In the study's table, whose names the terminal shows; in the report's tables and figures."""
-    write_inputs(tmp_path)
+    for folder, soil, rain in (("north", 0.5, 4.0), ("south", 0.4, 5.0)):
+        place = tmp_path / folder
+        place.mkdir()
+        site_file(place, z_soil=soil)
+        text = WEATHER.read_text().replace("02:00-05:00,0.0,", f"02:00-05:00,{rain},")
+        (place / "storm.csv").write_text(text)
+        archive(place, rain)
     run_here(tmp_path, VARIED)
     rows = rows_of(tmp_path / "out" / "results.csv")
-    columns = list(rows[0])
-    given = columns[4 : columns.index("status")]
-    distinct((tuple(row[column] for column in given) for row in rows), RUNS)
-    assert {row["site"] for row in rows} == {"site.yaml", "south-site.yaml"}
+    assert len(rows) == RUNS
     assert {row["weather"] for row in rows} == {"storm.csv", "south-storm.csv"}
     assert {row["season"] for row in rows} == {""}
     assert len({row["window"] for row in rows}) == WINDOWS
     # Only seeds share a case.
-    cases: dict[tuple[str, ...], set[str]] = {}
+    seeds: dict[tuple[str, ...], list[str]] = {}
     for row in rows:
         key = row["window"], row["initial"], row["case"]
-        cases.setdefault(key, set()).add(row["forecast_seed"])
-    assert sum(map(len, cases.values())) == RUNS
-    assert {frozenset(seeds) for seeds in cases.values()} == {frozenset([""]), frozenset("12")}
+        seeds.setdefault(key, []).append(row["forecast_seed"])
+    assert {frozenset(each) for each in seeds.values()} == {frozenset([""]), frozenset("12")}
+    assert all(len(each) == len(set(each)) for each in seeds.values())
 
-    report = Report(find_runs([tmp_path / "out"]))
-    distinct((name, window) for name, window, *_ in make_table(report).texts())
-    figures = list(make_figures(report))
-    distinct(figure.title for figure in figures)
-    distinct(figure.name for figure in figures)
+
+def test_a_name_has_the_fewest_facts() -> None:
+    facts = [
+        {"valve": "closed"}, {"valve": "drain", "reserve": "1"}, {"valve": "drain", "reserve": "3"},
+        {"valve": "plan", "reserve": "2", "same": "as ever"},
+    ]
+    assert tell_apart(facts) == ["closed", "drain, 1", "drain, 3", "plan"]
+    assert tell_apart(facts[:1]) == [""]
+
+
+def test_sites_and_valves_in_the_words_of_the_keys(tmp_path: Path) -> None:
+    """What a case does not use is not in its name, and does not make it another case."""
+    cases = cases_of(tmp_path / grid(tmp_path, f"""
+site: {{file: site_valve.yaml, a1: [4.0, 8.0], tau: 300.0, M: 1}}
+weather: {{file: {WEATHER}, start: 2021-07-07T02:00, hours: 1, evapotranspiration: published}}
+forecast: [perfect, {{model: errors, seed: [1, 2]}}]
+initial: low-low
+controllers:
+  onoff: {{outlet: [closed, drain, plan], outlet_reserve: [1.0, 3.0], outlet_price: 1}}
+"""))
+    names = name_cases(cases)
+    assert Counter(name["case"] for name in names) == {
+        "valve closed": 2, "valve drain, outlet reserve 1 m3": 2,
+        "valve drain, outlet reserve 3 m3": 2,
+        **{f"valve plan, outlet reserve {reserve} m3, forecast {model}": count
+           for reserve in (1, 3) for model, count in (("perfect", 2), ("errors", 4))},
+    }
+    assert {(name["window"], name["site"]) for name in names} == {
+        ("cistern 8 m3", "cistern_8_m3.yaml"), ("cistern 16 m3", "cistern_16_m3.yaml"),
+    }
 
 
 def test_the_seasons_of_several_years(tmp_path: Path) -> None:
-    """A season of a week or more in two years is one window; of one year it has its own start."""
-    record(tmp_path / "record", (2015, 2016))
-    grid(tmp_path / "record", """
+    """A week or more in two years is one window, of each city; with its own 29 February."""
+    for city in ("here", "there"):
+        (tmp_path / city).mkdir()
+        record(tmp_path / city / "record", (2015, 2016))
+    grid(tmp_path, """
 site: {file: site.yaml, tau: 600.0}
 weather:
-  - {file: "{year}_*.csv", start: "{year}-05-01T00:00", year: [2015, 2016], hours: [168, 24],
+  - {file: "here/record/{year}_*.csv", start: "{year}-05-01T00:00", year: [2015, 2016],
+     hours: [168, 24], evapotranspiration: fao56}
+  - {file: "there/record/{year}_*.csv", start: "{year}-05-01T00:00", year: [2015, 2016], hours: 168,
      evapotranspiration: fao56}
-  - {file: "2015_*.csv", start: 2015-05-02T00:00, hours: 168, evapotranspiration: fao56}
+  - {file: "here/record/2015_*.csv", start: 2015-05-02T00:00, hours: 168, evapotranspiration: fao56}
 bound_block: 0
-forecast: {model: errors, skill: real, seed: [1, 2]}
 initial: low-low
-controllers: {onoff: {forecast: perfect}, mpc: }
+controllers: {onoff: , mpc: {forecast: {model: errors, seed: [1, 2]}}}
 """)
-    cases = read_grid(tmp_path / "record" / "grid.yaml")
-    names = [Names(cases).columns(case) for case in cases]
+    names = name_cases(cases_of(tmp_path / "grid.yaml"))
     assert {name["season"] for name in names} == {"from 01 May 00:00", ""}
-    assert len({name["window"] for name in names}) == 1 + 2 + 1
-    seasons = [name["case"] for name in names if name["season"]]
-    assert {case: seasons.count(case) for case in seasons} == {
-        "onoff, forecast perfect": 2, "mpc, forecast errors skill real": 4,
-    }
+    of_cities = Counter(name["window"] for name in names if name["season"])
+    assert [*of_cities.values()] == [2 * 3] * 2
+    assert len({name["window"] for name in names}) == 2 + 2 + 1
+    assert {name["case"] for name in names} == {"onoff", "mpc"}
+
+
+def test_a_leap_year_does_not_take_the_last_day_of_a_season(tmp_path: Path) -> None:
+    hours = "\n".join(
+        f"{year}-{month:02}-{day:02}T{hour:02}:00Z,0"
+        for year, last in ((2015, 28), (2016, 29)) for month, days in ((2, last), (3, 12))
+        for day in range(1, days + 1) for hour in range(24)
+    )
+    (tmp_path / "rain.csv").write_text(f"time,precipitation [mm/h]\n{hours}\n")
+    cases = cases_of(tmp_path / grid(tmp_path, """
+site: {file: site.yaml, tau: 3600.0, M: 1, utc_offset: 0.0, monthly_evapotranspiration:
+       [[1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1]]}
+weather: {file: rain.csv, year: [2015, 2016], start: "{year}-02-20T00:00", hours: 480, gaps: fill}
+bound_block: 0
+initial: low-low
+controllers: {onoff: }
+"""))
+    assert [case.hours for case in cases] == [480, 504]  # until 11 March
+    assert [name["season"] for name in name_cases(cases)] == ["from 20 February 00:00"] * 2

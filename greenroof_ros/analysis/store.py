@@ -7,14 +7,11 @@ import json
 import shutil
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from greenroof_ros.analysis.study.case import Case, collect_contents
-from greenroof_ros.analysis.study.case_run import Outcome
-from greenroof_ros.analysis.study.names import Names
-from greenroof_ros.analysis.workers.input_files import write_inputs
+from greenroof_ros.analysis.case import Case, Outcome
+from greenroof_ros.analysis.names import name_cases
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.files import add_path_to_errors, replace_text
 from greenroof_ros.base.processes import LockedError, lock_file
@@ -22,10 +19,9 @@ from greenroof_ros.forecast.skill import REAL, read_skill
 from greenroof_ros.physics.sensor_and_pump import SensorAndPump
 from greenroof_ros.results.table import format_csv, parameter_columns
 from greenroof_ros.results.versions import versions
+from greenroof_ros.site.file import format_site
 
-_OUTCOME = "outcome.json"
-_DIGEST = "digest"
-_LOCK = ".lock"
+_OUTCOME, _DIGEST, _LOCK = "outcome.json", "digest", ".lock"
 
 
 class StudyStore:
@@ -33,23 +29,20 @@ class StudyStore:
 
     Attributes:
         directory: directory of the study.
+        inputs: directory of the study's configuration, with the input files of its cases.
         cases: runs of the study.
         trajectory_every: time between the samples of each run's trajectory (s), 0 for every tick;
             None to keep only the results.
-        outcomes: outcomes of finished runs, without their files, by identity.
-        failures: reasons why runs failed, by identity; a run that is neither in ``outcomes`` nor in
+        results: columns of finished runs, by identity.
+        failures: reasons why runs failed, by identity; a run that is neither in ``results`` nor in
             ``failures`` was not run.
-        bounds: columns of the known minimum deviations and discharges, by the bound_identity and
-            the discharge_bound_identity of their cases.
+        bounds: columns of the known minimum deviations and discharges, by the identities in
+            :attr:`.Case.bounds`.
     """
 
     def __init__(
-        self,
-        directory: Path,
-        grid: Path,
-        cases: Sequence[Case],
-        *,
-        trajectory_every: float | None,
+        self, directory: Path, cases: Sequence[Case], contents: Mapping[str, bytes], *,
+        trajectory_every: float | None = None, show: Sequence[str] = (),
     ) -> None:
         """Start a new study, or continue an existing study.
 
@@ -59,91 +52,85 @@ class StudyStore:
         Args:
             directory: directory of the study: new, empty, or from an earlier start of the same
                 study.
-            grid: file of the grid.
             cases: runs of the study.
-            trajectory_every: time between the samples of each trajectory, as for the attribute of
-                the same name.
+            contents: contents of all files to keep with the study, by name.
+            trajectory_every: as for the attribute of the same name.
+            show: metrics that the study asks for.
 
         Raises:
-            ConfigurationError: if the directory contains other files, or a study with another grid,
+            ConfigurationError: if the directory contains other files, or a study with other cases,
                 trajectories or code; if it cannot be written to; if another process is using it; or
                 if an outcome exists but cannot be read, for instance on a network drive. An outcome
                 that cannot be read is kept.
         """
-        self.directory = directory
+        self.directory, self.inputs = directory, directory / "configuration"
+        self.cases, self.trajectory_every, self.show = cases, trajectory_every, show
         self._held = ExitStack()  # the lock, for as long as this object exists
-        self.cases, self.trajectory_every = cases, trajectory_every
-        self._runs = directory / "runs"
-        self._bounds = directory / "bounds.json"
-        identity = {
-            "trajectory_every": trajectory_every,
-            "versions": {**versions(), "skill": repr(read_skill(REAL))},
-            "runs": [case.identity for case in cases],
-        }
+        self._runs, self._bounds = directory / "runs", directory / "bounds.json"
+        self._names = dict(zip((case.identity for case in cases), name_cases(cases), strict=True))
         try:
-            self._open(grid, identity)
+            self._open(contents)
         except OSError as error:
-            raise ConfigurationError(
-                f"cannot be read or written: {error.strerror}", key="--output", value=str(directory)
-            ) from error
-        self.outcomes: dict[str, Outcome] = {}
+            raise self._refuse(f"cannot be read or written: {error.strerror}") from error
         self.failures: dict[str, str] = {}
-        for case in cases:
-            content = _read(self._runs / case.identity / _OUTCOME)
-            if content:
-                self.outcomes[case.identity] = Outcome(**content, files={})
+        outcomes = {case.identity: _read(self._runs / case.identity / _OUTCOME) for case in cases}
+        self.results = {name: each["results"] for name, each in outcomes.items() if each}
         self.bounds: dict[str, dict[str, float]] = _read(self._bounds)
 
-    def _open(self, grid: Path, identity: dict[str, Any]) -> None:
-        configuration = self.directory / "configuration"
-        file = configuration / "study.json"
+    def _refuse(self, expected: str) -> ConfigurationError:
+        return ConfigurationError(expected, key="--output", value=str(self.directory))
+
+    def _open(self, contents: Mapping[str, bytes]) -> None:
+        identity = {
+            "show": [*self.show],
+            "trajectory_every": self.trajectory_every,
+            "versions": {**versions(), "skill": repr(read_skill(REAL))},
+            "runs": [case.identity for case in self.cases],
+        }
+        file = self.inputs / "study.json"
         self.directory.mkdir(parents=True, exist_ok=True)
         there = {path.name for path in self.directory.iterdir()}
         # A study that was killed at its start leaves its lock, and perhaps a partial configuration.
-        killed = _LOCK in there and there <= {_LOCK, configuration.name}
+        killed = _LOCK in there and there <= {_LOCK, self.inputs.name}
         if there and not killed and not file.is_file():
-            raise ConfigurationError(
-                "exists and is neither empty nor a study, so it was left unchanged",
-                key="--output", value=str(self.directory),
-            )
+            raise self._refuse("exists and is neither empty nor a study, so it was left unchanged")
         try:
             self._held.enter_context(lock_file(self.directory / _LOCK))
         except LockedError:
-            raise ConfigurationError(
-                "is in use by another process", key="--output", value=str(self.directory)
-            ) from None
-        configuration.mkdir(exist_ok=True)
+            raise self._refuse("is in use by another process") from None
+        self.inputs.mkdir(exist_ok=True)
         if file.is_file():
             self._check(file, identity)
         else:
-            shutil.copyfile(grid, configuration / "grid.yaml")
-            write_inputs(collect_contents(self.cases), configuration)
+            sites = {
+                self._names[case.identity]["site"]: format_site(case.site).encode()
+                for case in self.cases
+            }
+            for name, content in (sites | {**contents}).items():
+                with add_path_to_errors(self.inputs / name):
+                    (self.inputs / name).write_bytes(content)
             replace_text(file, json.dumps(identity, indent=2) + "\n")
         self._runs.mkdir(exist_ok=True)
         for cut_short in self._runs.glob("*.part"):
             shutil.rmtree(cut_short)
 
-    def _check(self, file: Path, identity: dict[str, Any]) -> None:
-        """Reject a study that was started with a different identity.
-
-        Raises:
-            ConfigurationError: if the study's file is damaged, or differs in the identity.
-        """
+    def _check(self, file: Path, identity: Mapping[str, Any]) -> None:
+        """Reject a study that was started with another identity, or whose file is damaged."""
         try:
-            begun = json.loads(file.read_text(encoding="utf-8"))
-        except (ValueError, RecursionError) as error:
+            begun = {**json.loads(file.read_text(encoding="utf-8"))}
+        except (ValueError, TypeError, RecursionError) as error:
             raise ConfigurationError(f"is not valid JSON: {error}", file=file) from error
-        for key, what in (
-            ("runs", "another grid, or other files"),
-            ("trajectory_every", "other trajectories, or without trajectories"),
-            ("versions", "other versions of the code or its packages"),
-        ):
-            if not isinstance(begun, dict) or begun.get(key) != identity[key]:
-                raise ConfigurationError(
-                    f"contains a study that was started with {what}; continue it with the "
-                    "original inputs, or choose another directory",
-                    key="--output", value=str(self.directory),
+        for key, value in identity.items():
+            if begun.get(key) != value:
+                raise self._refuse(
+                    f"contains a study that was started with other {key}; continue it with the "
+                    "original inputs, or choose another directory"
                 )
+
+    def name(self, case: Case) -> str:
+        """Return the name of a case: what differs from the others."""
+        names = self._names[case.identity]
+        return ", ".join([names["window"], names["case"], f"from {case.inputs.initial}"])
 
     def write_outcome(self, case: Case, outcome: Outcome) -> None:
         """Write an outcome atomically: it exists only once it has been written completely.
@@ -160,7 +147,7 @@ class StudyStore:
         if whole.exists():  # a damaged outcome
             shutil.rmtree(whole)
         part.replace(whole)
-        self.outcomes[case.identity] = replace(outcome, files={})
+        self.results[case.identity] = outcome.results
 
     def write_bound(self, identity: str, columns: dict[str, float]) -> None:
         """Store the columns of a bound, under its identity."""
@@ -171,26 +158,22 @@ class StudyStore:
         """Write ``results.csv``, and return its rows."""
         parameters = dict.fromkeys(name for case in self.cases for name in case.inputs.parameters)
         imperfect = any(case.inputs.sensor_and_pump != SensorAndPump() for case in self.cases)
-        rows, names = [], Names(self.cases)
+        rows = []
         for case in self.cases:
-            inputs = case.inputs
-            error = self.failures.get(case.identity)
-            outcome = self.outcomes.get(case.identity)
-            bound = self.bounds.get(case.bound_identity, {}).get("bound_m3")
-            results = {} if outcome is None else outcome.results
+            inputs, identity = case.inputs, case.identity
+            results, error = self.results.get(identity), self.failures.get(identity)
+            bounds = {
+                name: value for each in case.bounds
+                for name, value in self.bounds.get(each, {}).items()
+            }
+            least, total = bounds.get("bound_m3"), (results or {}).get("total_deviation_m3")
             rows.append({
-                "run": case.identity,
-                **names.columns(case),
-                **case.columns(),
+                "run": identity, **self._names[identity], **case.columns(),
                 **(inputs.sensor_and_pump.values() if imperfect else {}),
                 **parameter_columns({name: inputs.parameters.get(name) for name in parameters}),
-                "status": "done" if outcome else "not run" if error is None else "failed",
-                "error": error or "",
-                **results,
-                "bound_m3": bound,
-                "ratio_to_bound": results["total_deviation_m3"] / bound if results and bound
-                else None,
-                **self.bounds.get(case.discharge_bound_identity, {}),
+                "status": "done" if results else "not run" if error is None else "failed",
+                "error": error or "", **(results or {}), **bounds,
+                **({"ratio_to_bound": total / least} if total is not None and least else {}),
             })
         columns = dict.fromkeys(column for row in rows for column in row)
         replace_text(self.directory / "results.csv", format_csv(columns, rows))

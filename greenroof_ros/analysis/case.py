@@ -1,0 +1,238 @@
+"""A case: the complete inputs of a run with their files, how it is run, and its bounds."""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import json
+import sys
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from datetime import datetime
+from importlib.metadata import packages_distributions
+from modulefinder import ModuleFinder
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from greenroof_ros.base.parameter import parameters_of
+from greenroof_ros.controllers.onoff import OnOff
+from greenroof_ros.controllers.outlet import CLOSED, DRAIN, OPEN, PLAN, PRICE
+from greenroof_ros.controllers.registry import BUILT_IN, ControllerChoice, find_controller
+from greenroof_ros.forecast.choice import OPTIONS, ForecastChoice
+from greenroof_ros.physics.compiled import can_compile
+from greenroof_ros.physics.sensor_and_pump import SensorAndPump
+from greenroof_ros.results.table import EVENTS, format_events, format_exactly, summary_columns
+from greenroof_ros.results.trajectory import TRAJECTORY
+from greenroof_ros.simulation import bound
+from greenroof_ros.simulation.inputs import RunInputs
+from greenroof_ros.simulation.loop import simulate
+from greenroof_ros.simulation.run import Run
+from greenroof_ros.site.file import format_site
+from greenroof_ros.site.site import Site
+from greenroof_ros.weather.read import read_weather
+from greenroof_ros.weather.records import name_files
+from greenroof_ros.weather.series import REFUSE
+
+# Cases with the same weather follow each other, so a process reads its files once.
+_read_weather = functools.lru_cache(2)(read_weather)
+_OF_PLAN = "outlet_price", "outlet_reach"
+# The parameters of the valve that a policy does not use.
+_UNUSED = {
+    CLOSED: ("outlet_reserve", *_OF_PLAN), OPEN: ("outlet_reserve", *_OF_PLAN), DRAIN: _OF_PLAN,
+}
+
+
+@dataclass(frozen=True)
+class Case:
+    """A run of a study, with everything that affects its numbers.
+
+    Attributes:
+        inputs: complete inputs of the run, with the site itself and the names of the other files.
+        site_file: name of the file from which the site was read.
+        files: digests of the weather files and any forecast file, by names that are unique in the
+            study.
+        ticks: number of ticks.
+        bound_block: length of the time blocks that have one variable each when the minimum possible
+            deviation is computed (s); 0 to compute only the minimum discharge of a valve, None to
+            compute no bound.
+    """
+
+    inputs: RunInputs
+    site_file: str
+    files: Mapping[str, str]
+    ticks: int
+    bound_block: float | None = None
+
+    @property
+    def site(self) -> Site:
+        """The site."""
+        assert isinstance(self.inputs.site, Site)
+        return self.inputs.site
+
+    @property
+    def start(self) -> datetime:
+        """Time of tick 0."""
+        return datetime.fromisoformat(self.inputs.start)
+
+    @property
+    def hours(self) -> float:
+        """Length of the run (h)."""
+        return self.inputs.hours or 0.0
+
+    @property
+    def is_compiled(self) -> bool:
+        """Whether the run is compiled, as with on/off control and the policies of the valve."""
+        return self.inputs.controller.kind is OnOff and can_compile()
+
+    @functools.cached_property
+    def identity(self) -> str:
+        """Twelve hexadecimal digits that are always the same for equal cases, on any machine."""
+        inputs = self.inputs
+        content = [
+            {each.name: getattr(inputs, each.name) for each in parameters_of(RunInputs)},
+            inputs.sensor_and_pump.values(), format_site(self.site), self.files,
+            inputs.forecast.model, inputs.forecast.options(), inputs.parameters,
+            inputs.controller.reference, identify_code(inputs.controller),
+        ]
+        return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:12]
+
+    @functools.cached_property
+    def bounds(self) -> dict[str, Any]:
+        """The functions that compute the bounds of the run, by the identity of the bound."""
+        identity, functions = self.plain.identity, dict[str, Any]()
+        if self.bound_block:
+            functions[f"{identity}-{format_exactly(self.bound_block)}"] = bound_deviation
+        if self.bound_block is not None and "outlet" in self.inputs.parameters:
+            functions[identity] = bound_discharge
+        return functions
+
+    @functools.cached_property
+    def plain(self) -> Case:
+        """The same case with on/off control, no forecast, and an ideal sensor and pump."""
+        files = {path.name: self.files[path.name] for path in self.inputs.weather}
+        return replace(self, files=files, inputs=replace(
+            self.inputs, controller=find_controller("onoff"), parameters={},
+            forecast=ForecastChoice(), sensor_and_pump=SensorAndPump(),
+        ))
+
+    def columns(self) -> dict[str, Any]:
+        """Return the columns of the table that describe the case, except names and parameters."""
+        inputs = self.inputs
+        return {
+            "weather": name_files(inputs.weather), "start": inputs.start, "hours": self.hours,
+            "evapotranspiration": inputs.evapotranspiration,
+            **({"gaps": inputs.gaps} if inputs.gaps != REFUSE else {}),
+            "forecast": str(inputs.forecast),
+            **{f"forecast_{name}": inputs.forecast.options().get(name) for name in OPTIONS},
+            "controller": inputs.controller.name, "initial": inputs.initial,
+            "cistern_m3": inputs.cistern, "roof_m3": inputs.roof,
+        }
+
+    def build(self, directory: Path) -> Run:
+        """Build the run from the files in a directory."""
+        inputs, forecast = self.inputs, self.inputs.forecast
+        if forecast.file is not None:
+            forecast = replace(forecast, file=directory / forecast.file)
+        weather = _read_weather(
+            tuple(directory / file for file in inputs.weather), self.site.place,
+            inputs.evapotranspiration, inputs.gaps,
+        )
+        return replace(inputs, weather=weather, forecast=forecast).build()
+
+
+def find_unused(parameters: Mapping[str, Any]) -> tuple[str, ...]:
+    """Return the parameters of the valve that its policy does not use."""
+    return _UNUSED.get(str(parameters.get("outlet")), ())
+
+
+def drop_unused(inputs: RunInputs, parameters: Mapping[str, Any]) -> RunInputs:
+    """Leave out the parameters of the valve, and the forecasts, that a run does not use.
+
+    Args:
+        inputs: inputs of the run.
+        parameters: all parameters of its controller.
+    """
+    unused = find_unused(parameters)
+    foresees = inputs.controller.kind is not OnOff or parameters.get("outlet") == PLAN
+    return replace(
+        inputs, forecast=inputs.forecast if foresees else ForecastChoice(),
+        parameters={name: value for name, value in inputs.parameters.items() if name not in unused},
+    )
+
+
+class Outcome(NamedTuple):
+    """The results of a run."""
+
+    results: dict[str, Any]
+    """columns of the table, which do not depend on the duration of the run"""
+    files: dict[str, bytes]
+    """contents of the files that are kept, by name"""
+
+
+def run_case(directory: Path, case: Case, trajectory_every: float | None) -> Outcome:
+    """Run a case.
+
+    Args:
+        directory: directory with the case's input files.
+        case: case to run.
+        trajectory_every: time between the samples of the trajectory (s), rounded to at least one
+            whole tick; None to keep only the results.
+
+    Raises:
+        ConfigurationError: if the case is invalid.
+    """
+    run = case.build(directory)
+    every = 0 if trajectory_every is None else run.count_ticks_between(trajectory_every)
+    results, trajectory = simulate(run, every=every)
+    files = {EVENTS: format_events(results["events"]).encode()}
+    if trajectory is not None:
+        files[TRAJECTORY] = trajectory.to_parquet()
+    return Outcome(summary_columns(results), files)
+
+
+def bound_deviation(directory: Path, case: Case) -> dict[str, float]:
+    """Return the column of the minimum total deviation of controllers with commands up to 1.
+
+    See :func:`greenroof_ros.simulation.bound.clairvoyant_bound`.
+    """
+    return {"bound_m3": bound.clairvoyant_bound(case.build(directory), case.bound_block or 0.0)}
+
+
+def bound_discharge(directory: Path, case: Case) -> dict[str, float]:
+    """Return the columns of the minimum wet-weather discharge given on/off control's irrigation.
+
+    The columns describe the point of the frontier at which mains water costs as much as ``plan``
+    assumes. The mains water is left out if the site has no mains top-up.
+    """
+    run = case.plain.build(directory)
+    _, trajectory = simulate(run, every=1)
+    assert trajectory is not None
+    (point,) = bound.bound_discharge(run, trajectory, [PRICE])
+    bounds = {"bound_wet_discharge_m3": point.wet_discharge_m3}
+    return bounds if run.site.mains_level is None else bounds | {"bound_mains_m3": point.mains_m3}
+
+
+@functools.cache
+def identify_code(controller: ControllerChoice) -> str:
+    """Return twelve digits that identify the code of a user's controller; empty if built in.
+
+    They change with the source of its module and of all the modules that it imports, except those
+    of the standard library, of this package and of other installed packages. Data files that the
+    code reads, and modules that it imports by a computed name, are not covered.
+    """
+    if controller.reference in BUILT_IN:
+        return ""
+    modules = {controller.path.partition(":")[0], controller.kind.__module__}
+    installed = {*sys.stdlib_module_names, *packages_distributions(), "greenroof_ros"}
+    own = {name.partition(".")[0] for name in modules}
+    finder = ModuleFinder(excludes=[*installed - own])
+    for name in sorted(modules):
+        with suppress(ImportError):  # the class of a script or a notebook
+            finder.import_hook(name)
+    digest = hashlib.sha256()
+    for name, module in sorted(finder.modules.items()):
+        file: str | None = getattr(module, "__file__", None)  # None: a plain folder
+        if file is not None:
+            digest.update(name.encode() + b"\0" + Path(file).read_bytes() + b"\0")
+    return digest.hexdigest()[:12]

@@ -1,0 +1,228 @@
+"""Tasks in threads, in processes, or in any executor, such as that of a Dask cluster: one loop."""
+
+from __future__ import annotations
+
+import functools
+import logging
+import os
+import pickle
+import signal
+import tempfile
+import threading
+import zlib
+from collections.abc import Callable, Iterable, Iterator
+from concurrent import futures
+from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future
+from contextlib import ExitStack, contextmanager
+from multiprocessing import get_context, resource_tracker
+from pathlib import Path
+from typing import Any, NamedTuple
+from uuid import uuid4
+
+from greenroof_ros.base.errors import ConfigurationError, require_extra
+from greenroof_ros.base.files import add_path_to_errors
+from greenroof_ros.base.processes import count_cores, scratch_directory
+from greenroof_ros.results.versions import versions
+
+# Longest time between two reports of progress (s).
+_REFRESH_S = 0.5
+_LOST = "a worker was killed, or the connection to it was lost; if memory ran out, reduce --jobs"
+
+_Packed = tuple[tuple[str, bytes], ...]
+"""names and compressed contents of files"""
+
+
+class WorkersLostError(BrokenExecutor):
+    """Raised when the workers cannot continue; the message states what was lost."""
+
+
+class Task(NamedTuple):
+    """A call of a function, with the directory of the input files as its first argument."""
+
+    function: Callable[..., Any]
+    arguments: tuple[Any, ...]
+    files: tuple[str, ...]
+    """names of the input files that the function reads"""
+    in_threads: bool = False
+    """whether the call may run in a thread of this process, because its code is compiled"""
+
+
+def run_tasks(
+    tasks: Iterable[Task], directory: Path, receive: Callable[[Task, Any, Exception | None], None],
+    *, executor: Executor | None = None, jobs: int | None = None,
+    progress: Callable[[float], None] = lambda share: None,
+) -> None:
+    """Run tasks, and hand over each result as soon as it is there.
+
+    Args:
+        tasks: the tasks, which begin in this order.
+        directory: directory with the input files.
+        receive: function that receives a task, its result, and the error that it raised, if any.
+        executor: executor that runs all tasks, on this machine or on others, to which the input
+            files are sent; None for threads and processes of this machine.
+        jobs: number of threads, and of processes; None for one per core.
+        progress: function that receives the completed share of the tasks at least every half
+            second; an error that it raises ends the work.
+
+    Raises:
+        WorkersLostError: if a process was killed, or if the executor was lost.
+    """
+    @functools.cache
+    def pack(names: tuple[str, ...]) -> _Packed:
+        return tuple((name, zlib.compress((directory / name).read_bytes())) for name in names)
+
+    pending = dict[Future[Any], Task]()
+    with ExitStack() as stack:
+        if executor is None:
+            threads = stack.enter_context(futures.ThreadPoolExecutor(jobs or count_cores()))
+            processes, results = stack.enter_context(_open_processes(jobs or count_cores()))
+        try:
+            with _hold_interrupts():
+                for task in tasks:
+                    call = task.function, task.arguments
+                    if executor is not None:
+                        sent = pack(task.files), {**versions()}
+                        future = executor.submit(_call_elsewhere, *sent, *call)
+                    elif task.in_threads:
+                        future = threads.submit(task.function, directory, *task.arguments)
+                    else:
+                        future = processes.submit(_call_to_file, directory, results, *call)
+                    pending[future] = task
+            count, lost = len(pending), None
+            while pending:
+                progress(1 - len(pending) / count)
+                for future in futures.wait(pending, _REFRESH_S, futures.FIRST_COMPLETED).done:
+                    task = pending.pop(future)
+                    try:
+                        result = future.result()
+                    except (BrokenExecutor, CancelledError) as error:
+                        lost = error  # raised once all results that came before are received
+                    except Exception as error:  # raised by the task
+                        receive(task, None, error)
+                    else:
+                        receive(task, _read(result) if isinstance(result, Path) else result, None)
+                if lost is not None:
+                    raise lost
+            progress(1.0)
+        # The last two are raised if a process is killed while it starts.
+        except (BrokenExecutor, CancelledError, EOFError, ConnectionError) as error:
+            own = isinstance(error, WorkersLostError)
+            raise WorkersLostError(str(error) if own else _LOST) from error
+        finally:
+            for future in pending:
+                future.cancel()
+
+
+@contextmanager
+def open_dask(address: str) -> Iterator[Executor]:
+    """Provide the workers of a Dask scheduler as an executor.
+
+    Args:
+        address: address of the scheduler, such as ``tcp://10.0.0.1:8786``.
+
+    Raises:
+        ConfigurationError: if the scheduler does not answer, or has no worker.
+    """
+    with require_extra("dask"):
+        import dask
+
+        # Otherwise its log would repeat every error message in a hundred lines.
+        quiet = dict.fromkeys(("distributed", "distributed.client", "tornado.application"), 100)
+        dask.config.set({"logging": quiet})
+        from distributed import Client
+    with ExitStack() as stack:
+        try:
+            client = stack.enter_context(Client(address, timeout=10))
+            client.wait_for_workers(1, timeout=10)
+        except (OSError, ValueError, TypeError) as error:
+            raise ConfigurationError(
+                f"does not answer or has no worker: {error}", key="--scheduler", value=address
+            ) from error
+        yield client.get_executor(pure=False, retries=0)
+
+
+def _call_elsewhere(
+    files: _Packed, theirs: dict[str, str], function: Callable[..., Any], arguments: tuple[Any, ...]
+) -> Any:
+    """Call a function in a worker that may be on another machine, with the versions of this one."""
+    for package, version in theirs.items():
+        if (own := versions().get(package, "missing")) != version:
+            raise WorkersLostError(
+                f"a worker has {package} {own} instead of {version}; install the same version"
+            )
+    made = _unpack(files)  # it exists as long as something refers to it
+    return function(Path(made.name), *arguments)
+
+
+@functools.lru_cache(4)  # tasks with the same files follow each other
+def _unpack(files: _Packed) -> tempfile.TemporaryDirectory[str]:
+    made = tempfile.TemporaryDirectory()
+    for name, content in files:
+        Path(made.name, name).write_bytes(zlib.decompress(content))
+    return made
+
+
+def _call_to_file(
+    inputs: Path, results: Path, function: Callable[..., Any], arguments: tuple[Any, ...]
+) -> Path:
+    """Call a function in a process, and return the path of a file with its result.
+
+    A large result is not sent to the executor itself, because the executor would wait forever for
+    the rest if the process were killed while sending the result.
+    """
+    content, path = pickle.dumps(function(inputs, *arguments)), results / uuid4().hex
+    with add_path_to_errors(path):
+        path.write_bytes(content)
+    return path
+
+
+def _read(path: Path) -> Any:
+    result = pickle.loads(path.read_bytes())  # noqa: S301 - written by our own process
+    path.unlink()
+    return result
+
+
+@contextmanager
+def _open_processes(jobs: int) -> Iterator[tuple[Executor, Path]]:
+    """Provide processes, which start with their first task, and a directory for their results."""
+    context = get_context("spawn")
+    alive, end = context.Pipe(duplex=False)
+    # A process that is killed does not delete its temporary files.
+    with scratch_directory() as scratch:
+        executor = futures.ProcessPoolExecutor(jobs, context, _prepare, (alive, str(scratch)))
+        try:
+            yield executor, scratch
+        finally:
+            end.close()
+            executor.shutdown(cancel_futures=True)
+
+
+def _prepare(alive: Any, scratch: str) -> None:
+    """Prepare a process: set its directory, silence warnings, and tie its life to the work.
+
+    Warnings from single runs would break the progress bar.
+
+    Args:
+        alive: connection that is closed when the work ends for any reason, even by kill -9; the
+            process then ends at once.
+        scratch: directory for temporary files, which the process of the work deletes.
+    """
+    def watch() -> None:
+        alive.poll(None)
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
+    tempfile.tempdir = scratch
+    logging.getLogger("greenroof_ros").setLevel(logging.ERROR)
+
+
+@contextmanager
+def _hold_interrupts() -> Iterator[None]:
+    """Keep Ctrl-C, which a terminal sends to all processes, from those that start in the block."""
+    mask = getattr(signal, "pthread_sigmask", lambda *_: None)  # Windows has none
+    resource_tracker.ensure_running()  # first, because it unblocks the signal
+    mask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        mask(signal.SIG_UNBLOCK, {signal.SIGINT})
