@@ -9,4 +9,4 @@ season = {"site": site, "weather": "config/weather/toronto_2021.csv", "gaps": "f
 runs = gr.compare({
     outlet: gr.simulate("onoff", outlet=outlet, **season) for outlet in ("closed", "drain", "plan")
 })
-print(runs.table["controller", "wet_discharge_m3", "mains_m3"])
+print(runs.table["controller", "wet_discharge_m3", "discharge_m3", "retention_share", "mains_m3"])
