@@ -55,10 +55,11 @@ def write(value: Any, column: Column | str) -> str:
 
 
 def format_share(share: float) -> str:
-    """Return a share (1) in per cent; only all and nothing are 100 and 0."""
+    """Return a share (1) in per cent; only all is 100, and only what rounds to 0.0 is 0."""
     text = f"{100 * share:.0f}"
     if text in ("0", "-0", "100") and share not in (0, 1):
-        return "over 99.9" if (exact := f"{100 * share:.1f}") == "100.0" else exact
+        exact = f"{100 * share:.1f}"
+        return {"0.0": "0", "-0.0": "0", "100.0": "over 99.9"}.get(exact, exact)
     return text
 
 

@@ -42,7 +42,8 @@ def test_a_page_shows_its_parts_without_scripts(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("share", "text"), [
-    (0.0, "0"), (0.004, "0.4"), (0.27, "27"), (0.996, "99.6"), (0.9999, "over 99.9"), (1.0, "100"),
+    (0.0, "0"), (-1e-9, "0"), (0.004, "0.4"), (0.27, "27"), (0.996, "99.6"),
+    (0.9999, "over 99.9"), (1.0, "100"),
 ])
 def test_only_all_is_100_per_cent(share: float, text: str) -> None:
     assert format_share(share) == text
