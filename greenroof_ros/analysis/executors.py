@@ -109,8 +109,10 @@ def run_tasks(
             own = isinstance(error, WorkersLostError)
             raise WorkersLostError(str(error) if own else _LOST) from error
         finally:
-            for future in pending:
-                future.cancel()
+            # The pool of processes cancels its own: of others, its thread may report the end too.
+            for future, task in pending.items():
+                if executor is not None or task.in_threads:
+                    future.cancel()
 
 
 @contextmanager

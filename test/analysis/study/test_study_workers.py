@@ -158,8 +158,12 @@ def test_ended(tmp_path: Path, number: signal.Signals) -> None:
         assert process.returncode == 130
         assert "resource_tracker" not in errors
         assert {file.suffix for file in scratch.iterdir()} <= {".lock"}
-        status = [row["status"] for row in rows_of(tmp_path / "out" / "results.csv")]
-        assert status == ["not run"] * 6
+        rows = rows_of(tmp_path / "out" / "results.csv")
+        assert len(rows) == 6
+        for row in rows:  # compiled runs can be done before the processes are busy
+            assert row["status"] == "not run" or (row["controller"], row["status"]) == (
+                "onoff", "done"
+            )
     shutil.rmtree(scratch)
 
 
