@@ -81,6 +81,7 @@ class Roofs:
         )
         intervals = -(-run.steps // int(self._plant.interval_ticks))
         bounds = np.linspace(0, count, parts + 1).astype(int).tolist()
+        self._read(0)
         self._parts = [
             (rows, taken(np.zeros((1, 2, intervals)))) for rows in starmap(slice, pairwise(bounds))
         ]
@@ -90,9 +91,9 @@ class Roofs:
         return array if self._compiles else array.tolist()
 
     def _read(self, last: int) -> None:
-        """Read the ticks from the current one to another (exclusive), or more."""
+        """Read the ticks from the current one to another (exclusive) or more, up to the end's."""
         run, site, first = self.runs[0], self.runs[0].site, self.tick
-        last = min(max(last, first + _BLOCK), run.steps)
+        last = min(max(last, first + _BLOCK), run.steps + 1)
         rain, potential, frost, quiet = (np.array(values) for values in zip(
             *(each.read_ticks(first, last, site) for each in self.runs), strict=True
         ))
@@ -126,8 +127,8 @@ class Roofs:
             after the ticks (m3), shape (n,).
         """
         first, last = self.tick, min(self.tick + ticks, self.runs[0].steps)
-        if last > self._end:
-            self._read(last)
+        if last >= self._end:
+            self._read(last + 1)
         controls: Any = [
             Control(command, math.inf, -math.inf, outlet, 1.0)
             for command, outlet in zip(commands, outlets, strict=True)
@@ -158,6 +159,15 @@ class Roofs:
         if len(self._errors):
             levels[:, 1] = np.maximum(0.0, levels[:, 1] + self._errors[self.tick])
         return levels
+
+    @property
+    def weather(self) -> tuple[Values, Values]:
+        """Rain (m/s) and evapotranspiration (m3/s) of the runs in this tick, shapes (runs, 1)."""
+        ticks, place = self._ticks, self.tick - self._first
+        rain, evaporated = (
+            np.array([[row[place]] for row in rows]) for rows in (ticks.rain, ticks.potential)
+        )
+        return rain, evaporated
 
     @property
     def wet_left(self) -> Values:

@@ -282,9 +282,10 @@ def _check_hours(weather: Weather, hours: NDArray[np.int64]) -> None:
 
 def _refuse_missing(weather: Weather, quantity: str, hours: NDArray[np.intp], more: str) -> None:
     """Reject records that lack a quantity for some hours; the message ends with ``more``."""
-    missing = np.zeros(weather.hours, np.bool_)
-    missing[hours] = np.isnan(weather.values[quantity][hours])
-    if missing.any():
+    unknown = np.isnan(weather.values[quantity][hours])
+    if unknown.any():
+        missing = np.zeros(weather.hours, np.bool_)
+        missing[hours] = unknown
         why = ", ".join(name_hours(weather.first, missing))
         if quantity == EVAPOTRANSPIRATION and weather.method in COMPUTED:
             why += f": {weather.method} needs temperatures of the whole day in local standard time"
