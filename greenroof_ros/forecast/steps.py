@@ -131,11 +131,10 @@ class HourForecast:
         # The last step may end with the last hour.
         index = np.minimum(ends // _HOUR_S, self._rates.shape[1] - 1).astype(np.intp)
         begins = index * _HOUR_S
-        # Selecting columns in numpy reverses the memory order, and with it the order of summation:
-        # sums over members would differ in the last bit from sums of the same values received in a
-        # message.
-        at_ends = np.ascontiguousarray(self._rates[:, index])
-        cumulative = np.ascontiguousarray(self._sums[:, index]) + at_ends * (self._ends - begins)
+        # Unlike an index in brackets, this keeps the memory order, and with it the order of
+        # summation: sums over members equal those of the same values received in a message.
+        at_ends = self._rates.take(index, axis=1)
+        cumulative = self._sums.take(index, axis=1) + at_ends * (self._ends - begins)
         self._first = (cumulative[:, 1:] - cumulative[:, :-1]) / self._lengths
         self._slope = (at_ends[:, 1:] - at_ends[:, :-1]) / self._lengths
         self._from = since
@@ -210,12 +209,11 @@ class SteppedForecast:
     @property
     def notes(self) -> list[str]:
         """Sentences for readers; see :class:`PerfectForecast`."""
-        model, first = self._model, self._first
-        ends = (
-            (model.end(first + hour), self._weather.first + (first + hour + self._hours(hour)) * HOUR)
-            for hour in range(int(self._until // _HOUR_S) + 1)
-        )
-        return [*model.notes, *_note_end(min((end for end, last in ends if end < last), default=None))]
+        model, start = self._model, self._weather.first + self._first * HOUR
+        hours = range(int(self._until // _HOUR_S) + 1)
+        ends = ((hour, model.end(self._first + hour)) for hour in hours)
+        short = (end for hour, end in ends if end < start + (hour + self._hours(hour)) * HOUR)
+        return [*model.notes, *_note_end(min(short, default=None))]
 
     def at(self, tick: int) -> Outlook:
         """Return the outlook at a tick."""
@@ -231,7 +229,7 @@ class SteppedForecast:
 
     @staticmethod
     def at_once(
-        forecasts: Sequence[SteppedForecast], tick: int, measured: tuple[Array, Array]
+        forecasts: Sequence[Any], tick: int, measured: tuple[Array, Array]
     ) -> Array:
         """Return the means of perfect forecasts for runs that differ by whole hours in their start.
 
