@@ -227,7 +227,8 @@ class GreenRoofEnv(gymnasium.Env[Values, Values]):
             forecasts = SteppedForecast.at_once([run.forecast for run in runs], tick, roofs.weather)
         else:
             forecasts = np.array([np.concatenate(foresee(run, tick)) for run in runs])
-        values = np.hstack((roofs.levels, forecasts[roofs.run_of])) / self._scale
+        values = np.hstack((roofs.levels, forecasts[roofs.run_of]))
+        values /= self._scale
         if self._has_valve:
             values = np.column_stack((values, roofs.wet_left))
         return np.asarray(np.clip(values, 0.0, 1.0), np.float32)

@@ -123,8 +123,11 @@ class HourForecast:
         now, members = self._rates[:, :1].copy(), self._members
         for rows, value in zip((slice(members), slice(members, None)), measured, strict=False):
             now[rows] = value
+        means = self._held * now
+        means += self._first
+        means += self._slope * since
         # No mean is negative, but rounding can make one so at the end of a line.
-        return np.maximum(self._first + self._held * now + self._slope * since, 0.0), now
+        return np.maximum(means, 0.0, out=means), now
 
     def _draw_lines(self, since: float) -> None:
         ends = since + self._ends
@@ -134,9 +137,11 @@ class HourForecast:
         # Unlike an index in brackets, this keeps the memory order, and with it the order of
         # summation: sums over members equal those of the same values received in a message.
         at_ends = self._rates.take(index, axis=1)
-        cumulative = self._sums.take(index, axis=1) + at_ends * (self._ends - begins)
-        self._first = (cumulative[:, 1:] - cumulative[:, :-1]) / self._lengths
-        self._slope = (at_ends[:, 1:] - at_ends[:, :-1]) / self._lengths
+        cumulative = self._sums.take(index, axis=1)
+        cumulative += at_ends * (self._ends - begins)
+        self._first, self._slope = np.diff(cumulative), np.diff(at_ends)
+        self._first /= self._lengths
+        self._slope /= self._lengths
         self._from = since
         self._until = since + float((begins + _HOUR_S - ends).min()) - _ROUNDING_S
 
@@ -242,9 +247,9 @@ class SteppedForecast:
             Means of the rain, then of the evapotranspiration, in units of :class:`Outlook`, shape
             (n, 2 steps); each equal to that of :meth:`at` bit for bit.
         """
-        one, firsts = forecasts[0], np.array([[each._first] for each in forecasts])
+        one, firsts = forecasts[0], np.array([each._first for each in forecasts])
         hour, since = one._locate(tick)
-        means, _ = one._make(firsts, hour).find_means(since, measured)
+        means, _ = one._make(firsts[:, None], hour).find_means(since, measured)
         return np.hstack(np.split(means, 2))
 
     def _locate(self, tick: int) -> tuple[int, float]:
