@@ -28,6 +28,8 @@ from greenroof_ros.base.errors import ConfigurationError, require_extra, suggest
 from greenroof_ros.base.processes import count_cores
 from greenroof_ros.base.ranges import Range
 from greenroof_ros.controllers.registry import choose_class
+from greenroof_ros.forecast.choice import PERFECT
+from greenroof_ros.forecast.steps import SteppedForecast
 from greenroof_ros.physics.compiled import can_compile
 from greenroof_ros.simulation.inputs import make_inputs
 from greenroof_ros.simulation.loop import Tick
@@ -220,8 +222,13 @@ class GreenRoofEnv(gymnasium.Env[Values, Values]):
 
     def _observe(self, roofs: Roofs) -> Values:
         """Return the observations of roofs, shape (n, entries)."""
-        forecasts = np.array([np.concatenate(foresee(run, roofs.tick)) for run in roofs.runs])
-        values = np.hstack((roofs.levels, forecasts[roofs.run_of])) / self._scale
+        runs, tick = roofs.runs, roofs.tick
+        if len(runs) > 1 and runs[0].forecast_choice.model == PERFECT:
+            forecasts = SteppedForecast.at_once([run.forecast for run in runs], tick, roofs.weather)
+        else:
+            forecasts = np.array([np.concatenate(foresee(run, tick)) for run in runs])
+        values = np.hstack((roofs.levels, forecasts[roofs.run_of]))
+        values /= self._scale
         if self._has_valve:
             values = np.column_stack((values, roofs.wet_left))
         return np.asarray(np.clip(values, 0.0, 1.0), np.float32)

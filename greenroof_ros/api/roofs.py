@@ -23,6 +23,8 @@ from greenroof_ros.simulation.season import ALL_KEPT, Control, Sites, Ticks, run
 
 Values = NDArray[np.float64]
 
+# What a command from outside does not change.
+_CONTROL = Control(0.0, math.inf, -math.inf, 1.0, 1.0)
 # Ticks that are read together.
 _BLOCK = 1024
 
@@ -69,9 +71,10 @@ class Roofs:
         self._errors = read_errors(run.sensor_and_pump, run.steps + 1)
         self._without_rain = np.array([[each.without_rain_s] for each in self.runs])
         self._days = [find_new_days(site, each.time_ns(0) / 1e9, run.steps) for each in self.runs]
-        plants, taken = [self._plant] * count, self._as_taken
+        plants, controls, taken = [self._plant] * count, [_CONTROL] * count, self._as_taken
+        in_form: Callable[[Any], Any] = records if compiles else list
         self._sites = Sites(
-            records(plants) if compiles else plants, (), self.run_of, np.zeros(count, np.intp),
+            in_form(plants), in_form(controls), self.run_of, np.zeros(count, np.intp),
             np.zeros((count, 4)), np.zeros(count),
             taken(np.array([(each.x1, each.x2, site.initial_layer) for each in runs])),
             taken(np.tile(make_switch(run.sensor_and_pump, site.tau), (count, 1))),
@@ -81,6 +84,7 @@ class Roofs:
         )
         intervals = -(-run.steps // int(self._plant.interval_ticks))
         bounds = np.linspace(0, count, parts + 1).astype(int).tolist()
+        self._read(0)
         self._parts = [
             (rows, taken(np.zeros((1, 2, intervals)))) for rows in starmap(slice, pairwise(bounds))
         ]
@@ -90,9 +94,9 @@ class Roofs:
         return array if self._compiles else array.tolist()
 
     def _read(self, last: int) -> None:
-        """Read the ticks from the current one to another (exclusive), or more."""
+        """Read the ticks from the current one to another (exclusive) or more, up to the end's."""
         run, site, first = self.runs[0], self.runs[0].site, self.tick
-        last = min(max(last, first + _BLOCK), run.steps)
+        last = min(max(last, first + _BLOCK), run.steps + 1)
         rain, potential, frost, quiet = (np.array(values) for values in zip(
             *(each.read_ticks(first, last, site) for each in self.runs), strict=True
         ))
@@ -102,10 +106,13 @@ class Roofs:
             follow(self._as_taken(of_run), site.tau, dry)
             for of_run, dry in zip(rain, before, strict=True)
         ])
-        new_day = np.array([np.isin(np.arange(first, last), days) for days in self._days])
+        new_day = np.zeros(rain.shape, np.bool_)
+        for starts, days in zip(new_day, self._days, strict=True):
+            starts[[day - first for day in days if first <= day < last]] = True
         rule: Any = is_wet  # of numbers, and of arrays
         wet = rule(self._without_rain[:, 1:], site.tau, self._plant.wet_after_s)
         values = rain, potential, frost, wet, quiet, new_day, self._errors[first:last]
+        self._rain, self._potential = rain, potential
         self._ticks = Ticks(first, *map(self._as_taken, values))
         self._first, self._end = first, last
 
@@ -126,14 +133,16 @@ class Roofs:
             after the ticks (m3), shape (n,).
         """
         first, last = self.tick, min(self.tick + ticks, self.runs[0].steps)
-        if last > self._end:
-            self._read(last)
-        controls: Any = [
-            Control(command, math.inf, -math.inf, outlet, 1.0)
-            for command, outlet in zip(commands, outlets, strict=True)
-        ]
+        if last >= self._end:
+            self._read(last + 1)
+        controls = self._sites.controls
         if self._compiles:
-            controls = records(controls)
+            controls["fraction"], controls["policy"] = commands, outlets
+        else:
+            controls = [
+                _CONTROL._replace(fraction=command, policy=outlet)
+                for command, outlet in zip(commands, outlets, strict=True)
+            ]
         # A single tick is kept: it is a multiple of itself.
         kept = np.zeros((len(controls), 2 if ticks == 1 else 0, len(ALL_KEPT)))
         self._sites = sites = self._sites._replace(controls=controls, kept=kept)
@@ -158,6 +167,12 @@ class Roofs:
         if len(self._errors):
             levels[:, 1] = np.maximum(0.0, levels[:, 1] + self._errors[self.tick])
         return levels
+
+    @property
+    def weather(self) -> tuple[Values, Values]:
+        """Rain (m/s) and evapotranspiration (m3/s) of the runs in this tick, shapes (runs, 1)."""
+        place = self.tick - self._first
+        return self._rain[:, place, None], self._potential[:, place, None]
 
     @property
     def wet_left(self) -> Values:

@@ -100,10 +100,10 @@ class ForecastModel:
                 missing.
         """
         rain, evapotranspiration = (
-            select_records(self._weather, quantity, np.arange(hour, hour + hours))
+            select_records(self._weather, quantity, hour + np.arange(hours))
             for quantity in (PRECIPITATION, EVAPOTRANSPIRATION)
         )
-        return rain[None, :], evapotranspiration, None
+        return np.atleast_2d(rain), evapotranspiration, None
 
     def check(self, hours: range) -> None:
         """Check that there are forecasts from the first hour on, with all the records they need.

@@ -12,8 +12,9 @@ from __future__ import annotations
 
 import math
 from array import array
+from collections.abc import Sequence
 from datetime import datetime
-from typing import NamedTuple, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -54,9 +55,9 @@ class Outlook(NamedTuple):
 class HourForecast:
     """A forecast from one hour on, with mean rates over steps that begin at any time in the hour.
 
-    While the end of every step stays within its hour, and the measured values stay the same, the
-    means are linear in time. These linear functions are always computed from the start of the hour,
-    no matter when they are first needed, so that a restarted node yields bit-identical results.
+    While the end of every step stays within its hour, the means are linear in time, apart from the
+    measured values. These linear functions are always computed from the start of the hour, no
+    matter when they are first needed, so that a restarted node yields bit-identical results.
     """
 
     def __init__(
@@ -68,16 +69,17 @@ class HourForecast:
         Args:
             issued: nominal time of issue; see :class:`Outlook`.
             rain: rain (mm/h), shape (members, hours), starting with the current hour.
-            evapotranspiration: evapotranspiration (mm/day), shape (hours,).
+            evapotranspiration: evapotranspiration (mm/day), shape (hours,), or (sites, hours).
             site: site, which provides the tick, and the bed area used to convert depths to volumes.
             ends: boundaries of the steps; see :func:`look_ahead_ends`.
             measured: whether the current rain is measured.
             temperature: air temperature; see :class:`Outlook`.
         """
         self._issued, self._temperature = issued, temperature
-        self._rates = rates = np.vstack([rain, evapotranspiration])
-        rates[:-1] /= 1000 * _HOUR_S
-        rates[-1] *= site.a2 / 1000 / 86400
+        self._rates, self._members = np.vstack([rain, evapotranspiration]), len(rain)
+        rates = self._rates
+        rates[: len(rain)] /= 1000 * _HOUR_S
+        rates[len(rain) :] *= site.a2 / 1000 / 86400
         # The totals at the start of every hour.
         self._sums = np.zeros_like(rates)
         np.cumsum(rates[:, :-1] * _HOUR_S, axis=1, out=self._sums[:, 1:])
@@ -85,11 +87,9 @@ class HourForecast:
         hold = max(site.tau, float(ends[1])) if measured else 0.0
         self._ends, self._lengths = np.maximum(ends, hold), np.diff(ends)
         self._held = np.diff(np.minimum(ends, hold)) / self._lengths
-        # The lines; the interval (s since the start of the first hour) and the measured values for
-        # which they are valid; and the current values of all rows.
+        # The lines, and the interval in which they are valid (s since the start of the first hour).
         self._from = self._until = math.inf
-        self._measured: tuple[float, ...] = ()
-        self._first = self._slope = self._now = np.empty(0)
+        self._first = self._slope = np.empty(0)
 
     def at(self, since: float, all_members: bool, measured: tuple[float, ...]) -> Outlook:
         """Return the outlook at a given time.
@@ -100,32 +100,48 @@ class HourForecast:
             measured: the current values that are measured: none, or the rain (m/s), or the rain and
                 the evapotranspiration of the whole bed (m3/s).
         """
-        if measured != self._measured or not self._from <= since < self._until:
-            self._draw_lines(since, measured)
-        # No mean is negative, but rounding can make one so at the end of a line.
-        means = np.maximum(self._first + self._slope * since, 0.0)
+        means, now = self.find_means(since, measured)
         return Outlook(
             means[:-1] if all_members else array("d", means[0].tobytes()),
-            array("d", means[-1].tobytes()), float(self._now[0, 0]), float(self._now[-1, 0]),
+            array("d", means[-1].tobytes()), float(now[0, 0]), float(now[-1, 0]),
             self._issued, self._temperature,
         )
 
-    def _draw_lines(self, since: float, measured: tuple[float, ...]) -> None:
-        self._measured, self._now = measured, self._rates[:, :1].copy()
-        for rows, value in zip((slice(-1), slice(-1, None)), measured, strict=False):
-            self._now[rows] = value
+    def find_means(self, since: float, measured: tuple[float | Array, ...]) -> tuple[Array, Array]:
+        """Return the means of the rain of all members, then of the evapotranspiration.
+
+        Args:
+            since: time since the start of the current hour (s).
+            measured: as for :meth:`at`; each can have shape (members, 1) or (sites, 1).
+
+        Returns:
+            The means, shape (members + sites, steps), and the current values, shape (members +
+            sites, 1).
+        """
+        if not self._from <= since < self._until:
+            self._draw_lines(since)
+        now, members = self._rates[:, :1].copy(), self._members
+        for rows, value in zip((slice(members), slice(members, None)), measured, strict=False):
+            now[rows] = value
+        means = self._held * now
+        means += self._first
+        means += self._slope * since
+        # No mean is negative, but rounding can make one so at the end of a line.
+        return np.maximum(means, 0.0, out=means), now
+
+    def _draw_lines(self, since: float) -> None:
         ends = since + self._ends
         # The last step may end with the last hour.
         index = np.minimum(ends // _HOUR_S, self._rates.shape[1] - 1).astype(np.intp)
         begins = index * _HOUR_S
-        # Selecting columns in numpy reverses the memory order, and with it the order of summation:
-        # sums over members would differ in the last bit from sums of the same values received in a
-        # message.
-        at_ends = np.ascontiguousarray(self._rates[:, index])
-        cumulative = np.ascontiguousarray(self._sums[:, index]) + at_ends * (self._ends - begins)
-        self._first = (cumulative[:, 1:] - cumulative[:, :-1]) / self._lengths
-        self._first += self._held * self._now
-        self._slope = (at_ends[:, 1:] - at_ends[:, :-1]) / self._lengths
+        # Unlike an index in brackets, this keeps the memory order, and with it the order of
+        # summation: sums over members equal those of the same values received in a message.
+        at_ends = self._rates.take(index, axis=1)
+        cumulative = self._sums.take(index, axis=1)
+        cumulative += at_ends * (self._ends - begins)
+        self._first, self._slope = np.diff(cumulative), np.diff(at_ends)
+        self._first /= self._lengths
+        self._slope /= self._lengths
         self._from = since
         self._until = since + float((begins + _HOUR_S - ends).min()) - _ROUNDING_S
 
@@ -185,35 +201,70 @@ class SteppedForecast:
         """
         self._model, self._series, self._site = model, series, site
         self._ends, self._all_members = ends, all_members
-        self._offset = (start - weather.first).total_seconds()
+        # Times count from the start of the run's first hour, so that they do not depend on it.
+        first, self._offset = divmod((start - weather.first).total_seconds(), _HOUR_S)
+        self._first, self._weather = int(first), weather
         self._until = self._offset + (len(series.precipitation) - site.M) * site.tau
         # Those of the current hour and tick: an environment asks twice in a tick.
         self._made: dict[int, HourForecast] = {}
         self._outlooks: dict[int, Outlook] = {}
-        hours = range(int(self._offset // _HOUR_S), int(self._until // _HOUR_S) + 1)
-        model.check(range(hours[0], hours[-1] + self._hours(hours[-1])))
-        first_end = min((
-            model.end(hour) for hour in hours
-            if model.end(hour) < weather.first + (hour + self._hours(hour)) * HOUR
-        ), default=None)
-        self.notes = [*model.notes, *_note_end(first_end)]
+        last = int(self._until // _HOUR_S)
+        model.check(range(self._first, self._first + last + self._hours(last)))
+
+    @property
+    def notes(self) -> list[str]:
+        """Sentences for readers; see :class:`PerfectForecast`."""
+        model, start = self._model, self._weather.first + self._first * HOUR
+        hours = range(int(self._until // _HOUR_S) + 1)
+        ends = ((hour, model.end(self._first + hour)) for hour in hours)
+        short = (end for hour, end in ends if end < start + (hour + self._hours(hour)) * HOUR)
+        return [*model.notes, *_note_end(min(short, default=None))]
 
     def at(self, tick: int) -> Outlook:
         """Return the outlook at a tick."""
         if tick in self._outlooks:
             return self._outlooks[tick]
-        time = self._offset + tick * self._site.tau
-        hour = int(time // _HOUR_S)
+        hour, since = self._locate(tick)
         measured = self._series.precipitation[tick], self._series.evapotranspiration[tick]
         if hour not in self._made:
-            rain, dried, issued = self._model.forecast(hour, self._hours(hour))
-            self._made = {hour: HourForecast(issued, rain, dried, self._site, self._ends, True)}
-        outlook = self._made[hour].at(time - hour * _HOUR_S, self._all_members, measured)
+            self._made = {hour: self._make(self._first, hour)}
+        outlook = self._made[hour].at(since, self._all_members, measured)
         self._outlooks = {tick: outlook}
         return outlook
 
+    @staticmethod
+    def at_once(
+        forecasts: Sequence[Any], tick: int, measured: tuple[Array, Array]
+    ) -> Array:
+        """Return the means of perfect forecasts for runs that differ by whole hours in their start.
+
+        Args:
+            forecasts: forecasts of n equally long runs with the same weather and site.
+            tick: a tick of every run.
+            measured: rain (m/s) and evapotranspiration (m3/s) in this tick, each of shape (n, 1).
+
+        Returns:
+            Means of the rain, then of the evapotranspiration, in units of :class:`Outlook`, shape
+            (n, 2 steps); each equal to that of :meth:`at` bit for bit.
+        """
+        one, firsts = forecasts[0], np.array([each._first for each in forecasts])
+        hour, since = one._locate(tick)
+        means, _ = one._make(firsts[:, None], hour).find_means(since, measured)
+        return np.hstack(np.split(means, 2))
+
+    def _locate(self, tick: int) -> tuple[int, float]:
+        """Return the hour of the run in which a tick begins, and the time since its start (s)."""
+        time = self._offset + tick * self._site.tau
+        hour = int(time // _HOUR_S)
+        return hour, time - hour * _HOUR_S
+
+    def _make(self, first: Any, hour: int) -> HourForecast:
+        """Make the forecast in an hour of a run, or of many with first hours of shape (n, 1)."""
+        rain, dried, issued = self._model.forecast(first + hour, self._hours(hour))
+        return HourForecast(issued, rain, dried, self._site, self._ends, True)
+
     def _hours(self, hour: int) -> int:
-        """Return the number of hours that the ticks in an hour need, including that hour."""
+        """Return the number of hours that the ticks in an hour of the run need, with that hour."""
         last_tick = min((hour + 1) * _HOUR_S, self._until)
         return math.ceil((last_tick + float(self._ends[-1])) / _HOUR_S) - hour
 

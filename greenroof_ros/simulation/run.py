@@ -124,14 +124,16 @@ class Run:
         Before its first tick, a run is dry unless the record shows rain. Missing values are
         skipped: they are neither rain nor time without rain.
         """
-        rain, without_rain = self.weather.finest_rain / 1000 / HOUR_S, math.inf  # m/s
+        before = (self.start - self.weather.first).total_seconds()
+        first = max(0, math.floor(before / HOUR_S) - _BEFORE_H)
+        part = self.weather.cut(first, math.ceil(before / HOUR_S))
+        rain, without_rain = part.finest_rain / 1000 / HOUR_S, math.inf  # m/s
         seconds = HOUR_S / rain.shape[1]
-        before = (self.start - self.weather.first).total_seconds() / seconds
-        first = max(0, math.floor(before - _BEFORE_H * HOUR_S / seconds))
-        for step, rate in enumerate(rain.ravel()[first : math.ceil(before)].tolist(), first):
+        before = before / seconds - first * rain.shape[1]
+        for step, rate in enumerate(rain.ravel()[: math.ceil(before)].tolist()):
             if math.isfinite(rate):
-                part = min(1.0, before - step) * seconds
-                without_rain = time_without_rain(without_rain, rate, part)
+                duration = min(1.0, before - step) * seconds
+                without_rain = time_without_rain(without_rain, rate, duration)
         return without_rain
 
     def make_controller(self) -> Controller:

@@ -187,27 +187,32 @@ class WeatherSeries:
         offset_ns = round((start - weather.first) / timedelta(microseconds=1)) * 1000
         past = offset_ns + ticks[-1] * tick_ns >= weather.hours * _HOUR_NS
         self.repeats_from = weather.end if past else None
-        frost = np.zeros(weather.hours) if weather.frost is None else weather.frost.astype(float)
+        # Only the hours of these ticks are kept: a record may have many years, and many runs.
+        first, offset_ns = divmod(offset_ns, _HOUR_NS)
+        part = weather.cut(first, first - (offset_ns + len(ticks) * tick_ns) // -_HOUR_NS)
+        frost = np.zeros(part.hours) if part.frost is None else part.frost.astype(float)
         self.frost = PerTick(frost, offset_ns, tick_ns, ticks)
-        first = self.frost.step(0)
-        _check_hours(weather, np.arange(first, self.frost.step(ticks[-1]) + 1))
-        self.precipitation = rain_per_tick(weather, offset_ns, tick_ns, ticks)
-        depth = np.maximum(weather.evapotranspiration, 0.0)  # dew does not count
+        _check_hours(weather, first + np.arange(self.frost.step(ticks[-1]) + 1))
+        self.precipitation = rain_per_tick(part, offset_ns, tick_ns, ticks)
+        depth = np.maximum(part.evapotranspiration, 0.0)  # dew does not count
         self.evapotranspiration = replace(self.frost, values=depth / 1000 / 86400 * site.a2)
         # From tick 0 to the end of tick N-1; the window after it is not part of the run.
-        run = range(first, self.frost.step(steps - 1) + 1)
-        begins = self.frost.first_tick(np.array(run))
-        frozen = frost[run.start : run.stop] * np.diff([0, *begins[1:], steps])
+        run = self.frost.step(steps - 1) + 1  # hours
+        begins = self.frost.first_tick(np.arange(1, run))
+        frozen = frost[:run] * np.diff([0, *begins, steps])
         frozen_hours = float(frozen.sum()) * site.tau / 3600
-        self.frost_hours = None if weather.frost is None else frozen_hours
-        rain = weather.precipitation[run.start : run.stop]
+        self.frost_hours = None if part.frost is None else frozen_hours
+        rain = part.precipitation[:run]
         self.precipitation_in_frost = float((frozen * rain).sum() * site.tau / 3600)
-        self._summarized = weather, site, run
-        days = slice(max(0, run.start - 24), run.stop + 24)
-        filled = {quantity: marks[days] for quantity, marks in weather.filled.items()}
+        self._summarized = weather, site, range(first, first + run)
+        days = slice(max(0, first - 24), first + run + 24)
+        filled = {
+            quantity: marks[days] for quantity, marks in weather.filled.items()
+            if marks[days].any()
+        }
         self.filled = {
             quantity: name_hours(weather.first + days.start * HOUR, marks)
-            for quantity, marks in filled.items() if marks.any()
+            for quantity, marks in filled.items()
         }
         self.filled_counts = {quantity: int(marks.sum()) for quantity, marks in filled.items()}
         self.filled_hours = int(np.any(list(filled.values()), axis=0).sum())
@@ -282,9 +287,10 @@ def _check_hours(weather: Weather, hours: NDArray[np.int64]) -> None:
 
 def _refuse_missing(weather: Weather, quantity: str, hours: NDArray[np.intp], more: str) -> None:
     """Reject records that lack a quantity for some hours; the message ends with ``more``."""
-    missing = np.zeros(weather.hours, np.bool_)
-    missing[hours] = np.isnan(weather.values[quantity][hours])
-    if missing.any():
+    unknown = np.isnan(weather.values[quantity][hours])
+    if unknown.any():
+        missing = np.zeros(weather.hours, np.bool_)
+        missing[hours] = unknown
         why = ", ".join(name_hours(weather.first, missing))
         if quantity == EVAPOTRANSPIRATION and weather.method in COMPUTED:
             why += f": {weather.method} needs temperatures of the whole day in local standard time"
