@@ -31,8 +31,8 @@ def started_browser() -> Iterator[Any]:
 
 
 @contextmanager
-def drawn_page(file: Path, charts: int = 0) -> Iterator[Any]:
-    """Open a page, which must request nothing else, and draw as many charts by scripts."""
+def drawn_page(file: Path) -> Iterator[Any]:
+    """Open a page, which must request nothing else."""
     with started_browser() as browser:
         page = browser.new_page(viewport={"width": 1200, "height": 900})
         urls: list[str] = []
@@ -40,8 +40,6 @@ def drawn_page(file: Path, charts: int = 0) -> Iterator[Any]:
         page.on("request", lambda request: urls.append(request.url))
         page.on("pageerror", lambda error: wrong.append(str(error)))
         page.goto(file.as_uri())
-        if charts:
-            page.wait_for_selector(f"html[data-drawn='{charts}']", timeout=60_000)
         assert wrong == []
         assert [url for url in urls if not url.startswith(("file:", "data:", "blob:"))] == []
         yield page

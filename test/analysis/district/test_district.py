@@ -56,7 +56,7 @@ def test_command(tmp_path: Path) -> None:
     assert float(of_half["mains_m3"]) == pytest.approx(mains)
     text = (out / "page.html").read_text()
     assert "<script" not in text
-    with drawn_page(out / "page.html", 0) as page:
+    with drawn_page(out / "page.html") as page:
         assert "8 buildings" in page.inner_text("h1")
         assert page.locator("table").first.locator("tbody tr").count() == len(rows)
         titles = page.locator("h2").all_inner_texts()
