@@ -23,16 +23,16 @@ ifeq ($(ROS),sourced)
 VENV_OPTIONS := --system-site-packages
 RUN_EXTRAS := [pump,mqtt,watch,foxglove]
 STUDY_EXTRAS := [study]
-TEST_EXTRAS := [pump,mqtt,watch,foxglove,study,dask,test]
+TEST_EXTRAS := [pump,mqtt,watch,foxglove,study,test]
 BENCH_EXTRAS := [study,gym,bench]
-DOCS_EXTRAS := [pump,mqtt,watch,foxglove,study,dask,docs]
+DOCS_EXTRAS := [pump,mqtt,watch,foxglove,study,docs]
 else
 VENV_OPTIONS :=
 RUN_EXTRAS := [ros,pump,mqtt,watch,foxglove]
 STUDY_EXTRAS := [study]
-TEST_EXTRAS := [ros,pump,mqtt,watch,foxglove,study,dask,test]
+TEST_EXTRAS := [ros,pump,mqtt,watch,foxglove,study,test]
 BENCH_EXTRAS := [ros,study,gym,bench]
-DOCS_EXTRAS := [ros,pump,mqtt,watch,foxglove,study,dask,docs]
+DOCS_EXTRAS := [ros,pump,mqtt,watch,foxglove,study,docs]
 endif
 
 # Stamp files: the environment exists, and everything that a target needs is installed in it.
@@ -97,7 +97,7 @@ test-kilted: $(KILTED)/.made
 $(KILTED)/.made: setup.py
 	$(PYTHON) -m venv $(KILTED)
 	$(KILTED)/bin/python -m pip --disable-pip-version-check install $(KILTED_WHEELS) \
-	    --editable ".[pump,mqtt,watch,foxglove,study,dask,test]"
+	    --editable ".[pump,mqtt,watch,foxglove,study,test]"
 	@touch $@
 
 lint: $(FOR_TEST)

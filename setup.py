@@ -126,7 +126,6 @@ setup(
         ],
         # The graph for Foxglove and Lichtblick: their protocol, from its makers.
         "foxglove": ["foxglove-sdk>=0.30,<0.31"],  # its minor releases change the interface
-        "dask": ["distributed>=2024.1"],  # study --scheduler: more than one machine
         # The environments GreenRoof-v1 and GreenRoofVector-v1, for reinforcement learning.
         "gym": ["gymnasium>=1.1,<2", NUMBA],
         "test": [
@@ -137,6 +136,7 @@ setup(
             "hypothesis>=6.100",  # properties of the plant and the controllers
             # EPA's SWMM 5.2: hydrographs of the same cistern; 0.17 is the oldest that was tried.
             "swmm-toolkit>=0.17,<1",
+            "distributed>=2024.1",  # a study on the workers of a Dask cluster
             "gymnasium>=1.1,<2",  # whether its checks pass the environment
             "pandas>=2",  # weather in its data frames, and trajectories as such
             "pyarrow>=15",  # what polars needs for that

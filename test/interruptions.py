@@ -45,7 +45,6 @@ _GREENROOF = {
     "graph": "run --controller mpc --hours 0.5 --output out",
     "graph_onoff": "run --controller onoff --hours 0.5 --output out",
     "study": "study grid.yaml --jobs 2 --output out",
-    "dask": "study grid.yaml --output out --scheduler",
     "report": "report finished --output out",
     "calibrate": "calibrate roof_2025.csv --output out.yaml",
     "bound": "bound --hours 1",
@@ -101,12 +100,7 @@ def prepare(directory: Path) -> None:
 
 
 # What runs beside a command, and the command's last word.
-_DASK = "tcp://127.0.0.1:45100"
 _BESIDE = {
-    "dask": (
-        "-m distributed.cli.dask_scheduler --port 45100 --no-show --dashboard-address :0",
-        f"-m distributed.cli.dask_worker {_DASK} --no-nanny --dashboard-address :0",
-    ),
     "live": (f"-m greenroof_ros simulators site --at {_DRIVE} --sensors sensors.yaml",),
 }
 
@@ -127,7 +121,7 @@ def _service(name: str, directory: Path) -> Iterator[str]:
     ]
     time.sleep(6.0 if started else 0.0)
     try:
-        yield f" {_DASK}" if name == "dask" else ""
+        yield ""
     finally:
         for process in started:
             process.kill()

@@ -62,11 +62,13 @@ def write_inputs(files: Mapping[str, bytes], directory: Path) -> None:
         (directory / name).write_bytes(content)
 
 
-def store_of(directory: Path, *, trajectory_every: float | None = 0.0) -> StudyStore:
+def store_of(
+    directory: Path, *, trajectory_every: float | None = 0.0, output: str = "out"
+) -> StudyStore:
     """Begin the study of the grid in a directory, or continue it."""
     grid = read_grid(directory / "grid.yaml")
     return StudyStore(
-        directory / "out", grid.cases, grid.files.contents, trajectory_every=trajectory_every,
+        directory / output, grid.cases, grid.files.contents, trajectory_every=trajectory_every,
         show=grid.show,
     )
 

@@ -16,7 +16,6 @@ from __future__ import annotations
 import sys
 from dataclasses import dataclass
 
-import numpy as np
 import pandas as pd
 
 
@@ -131,8 +130,9 @@ def compare(sizes: object, weather: dict[str, pd.DataFrame], target: float) -> p
         target: water to keep on the roof (mm).
     """
     rows = []
-    site = sizes.site  # type: ignore[attr-defined]
-    for design in sizes.select(target=target, outlet="none"):  # type: ignore[attr-defined]
+    site, table = sizes.site, sizes.table  # type: ignore[attr-defined]
+    means = table.filter(target_mm=target, outlet="none").sort("volume_m3")
+    for volume, met in means.select("volume_m3", "demand_met_share").iter_rows():
         onset = site.wilting_point + (1 - site.depletion_fraction) * (
             site.field_capacity - site.wilting_point
         )
@@ -141,11 +141,11 @@ def compare(sizes: object, weather: dict[str, pd.DataFrame], target: float) -> p
             site.a2, site.a_in * site.runoff_coefficient, target, depth * site.field_capacity,
             depth * onset, depth * site.wilting_point, site.percolation_exponent,
         )
-        capacity = design.volume * (1 - site.mains_level / site.z_o)
-        stored = design.volume * (0.5 - site.mains_level / site.z_o)
+        capacity = volume * (1 - site.mains_level / site.z_o)
+        stored = volume * (0.5 - site.mains_level / site.z_o)
         rows.append({
-            "volume_m3": design.volume,
-            "size": np.nanmean(sizes.results[design]["demand_met_share"]),  # type: ignore[attr-defined]
+            "volume_m3": volume,
+            "size": met,
             **{
                 rule: sum(
                     find_share(days, house, capacity, stored, rule) for days in weather.values()

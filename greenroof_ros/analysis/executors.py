@@ -19,7 +19,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 from uuid import uuid4
 
-from greenroof_ros.base.errors import ConfigurationError, require_extra
 from greenroof_ros.base.files import add_path_to_errors
 from greenroof_ros.base.processes import count_cores, scratch_directory
 from greenroof_ros.results.versions import versions
@@ -113,34 +112,6 @@ def run_tasks(
             for future, task in pending.items():
                 if executor is not None or task.in_threads:
                     future.cancel()
-
-
-@contextmanager
-def open_dask(address: str) -> Iterator[Executor]:
-    """Provide the workers of a Dask scheduler as an executor.
-
-    Args:
-        address: address of the scheduler, such as ``tcp://10.0.0.1:8786``.
-
-    Raises:
-        ConfigurationError: if the scheduler does not answer, or has no worker.
-    """
-    with require_extra("dask"):
-        import dask
-
-        # Otherwise its log would repeat every error message in a hundred lines.
-        quiet = dict.fromkeys(("distributed", "distributed.client", "tornado.application"), 100)
-        dask.config.set({"logging": quiet})
-        from distributed import Client
-    with ExitStack() as stack:
-        try:
-            client = stack.enter_context(Client(address, timeout=10))
-            client.wait_for_workers(1, timeout=10)
-        except (OSError, ValueError, TypeError) as error:
-            raise ConfigurationError(
-                f"does not answer or has no worker: {error}", key="--scheduler", value=address
-            ) from error
-        yield client.get_executor(pure=False, retries=0)
 
 
 def _call_elsewhere(

@@ -6,7 +6,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import replace
 from datetime import date, datetime, timedelta
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.times import FIRST_YEAR, LAST_YEAR, to_minutes
@@ -15,6 +15,9 @@ from greenroof_ros.simulation.run import Run
 from greenroof_ros.site.site import Site
 from greenroof_ros.weather.quantities import FOR_EVAPOTRANSPIRATION, PRECIPITATION
 from greenroof_ros.weather.series import Weather
+
+if TYPE_CHECKING:
+    import polars
 
 # Any year that is not a leap year.
 _YEAR = 2001
@@ -146,3 +149,20 @@ def list_notes(runs: Mapping[str, Run], site: Site) -> list[str]:
                 f"{count} in {name}" for name, count in hours.items() if count
             ))
     return list(dict.fromkeys(notes))
+
+
+def find_ranges(rows: polars.DataFrame, by: list[str]) -> polars.DataFrame:
+    """Return the mean, the lowest and the highest value of each column over the seasons.
+
+    Args:
+        rows: results, with a column ``season``.
+        by: columns that identify what is compared.
+
+    Returns:
+        The columns ``by``, the means under their names, and the lowest and the highest values under
+        names that end in ``_min`` and ``_max``.
+    """
+    groups = rows.drop("season").group_by(by, maintain_order=True)
+    return groups.mean().join(groups.min(), on=by, suffix="_min", maintain_order="left").join(
+        groups.max(), on=by, suffix="_max", maintain_order="left"
+    )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import shutil
 from collections.abc import Mapping, Sequence
@@ -21,7 +20,7 @@ from greenroof_ros.results.table import format_csv, parameter_columns
 from greenroof_ros.results.versions import versions
 from greenroof_ros.site.file import format_site
 
-_OUTCOME, _DIGEST, _LOCK = "outcome.json", "digest", ".lock"
+_OUTCOME, _LOCK = "outcome.json", ".lock"
 
 
 class StudyStore:
@@ -46,8 +45,7 @@ class StudyStore:
     ) -> None:
         """Start a new study, or continue an existing study.
 
-        A damaged outcome, for instance after a power cut, is discarded: the run is repeated, and
-        the new outcome replaces the damaged one.
+        A run whose outcome a power cut has cut short is repeated.
 
         Args:
             directory: directory of the study: new, empty, or from an earlier start of the same
@@ -74,7 +72,7 @@ class StudyStore:
             raise self._refuse(f"cannot be read or written: {error.strerror}") from error
         self.failures: dict[str, str] = {}
         outcomes = {case.identity: _read(self._runs / case.identity / _OUTCOME) for case in cases}
-        self.results = {name: each["results"] for name, each in outcomes.items() if each}
+        self.results = {name: results for name, results in outcomes.items() if results}
         self.bounds: dict[str, dict[str, float]] = _read(self._bounds)
 
     def _refuse(self, expected: str) -> ConfigurationError:
@@ -100,7 +98,12 @@ class StudyStore:
             raise self._refuse("is in use by another process") from None
         self.inputs.mkdir(exist_ok=True)
         if file.is_file():
-            self._check(file, identity)
+            begun = _read(file)
+            if other := [key for key in identity if begun.get(key) != identity[key]]:
+                raise self._refuse(
+                    f"contains a study that was started with other {other[0]}; continue it with "
+                    "the original inputs, or choose another directory"
+                )
         else:
             sites = {
                 self._names[case.identity]["site"]: format_site(case.site).encode()
@@ -114,19 +117,6 @@ class StudyStore:
         for cut_short in self._runs.glob("*.part"):
             shutil.rmtree(cut_short)
 
-    def _check(self, file: Path, identity: Mapping[str, Any]) -> None:
-        """Reject a study that was started with another identity, or whose file is damaged."""
-        try:
-            begun = {**json.loads(file.read_text(encoding="utf-8"))}
-        except (ValueError, TypeError, RecursionError) as error:
-            raise ConfigurationError(f"is not valid JSON: {error}", file=file) from error
-        for key, value in identity.items():
-            if begun.get(key) != value:
-                raise self._refuse(
-                    f"contains a study that was started with other {key}; continue it with the "
-                    "original inputs, or choose another directory"
-                )
-
     def name(self, case: Case) -> str:
         """Return the name of a case: what differs from the others."""
         names = self._names[case.identity]
@@ -139,20 +129,19 @@ class StudyStore:
             OSError: if writing fails, for instance because the disk is full.
         """
         part, whole = self._runs / f"{case.identity}.part", self._runs / case.identity
-        about = _with_digest({"results": outcome.results})
         part.mkdir(exist_ok=True)
-        for name, content in {**outcome.files, _OUTCOME: about.encode()}.items():
+        for name, content in outcome.files.items():
             with add_path_to_errors(part / name):
                 (part / name).write_bytes(content)
-        if whole.exists():  # a damaged outcome
-            shutil.rmtree(whole)
+        replace_text(part / _OUTCOME, json.dumps(outcome.results, indent=2))
+        shutil.rmtree(whole, ignore_errors=True)  # after a power cut
         part.replace(whole)
         self.results[case.identity] = outcome.results
 
     def write_bound(self, identity: str, columns: dict[str, float]) -> None:
         """Store the columns of a bound, under its identity."""
         self.bounds[identity] = columns
-        replace_text(self._bounds, _with_digest(self.bounds))
+        replace_text(self._bounds, json.dumps(self.bounds, indent=2))
 
     def write_table(self) -> list[dict[str, Any]]:
         """Write ``results.csv``, and return its rows."""
@@ -180,25 +169,15 @@ class StudyStore:
         return rows
 
 
-def _with_digest(values: Mapping[str, Any]) -> str:
-    """Return values as JSON, with a digest that reveals any later damage."""
-    text = json.dumps(values, sort_keys=True)
-    about = {**values, _DIGEST: hashlib.sha256(text.encode()).hexdigest()}
-    return json.dumps(about, indent=2) + "\n"
-
-
 def _read(file: Path) -> dict[str, Any]:
-    """Return the values that :func:`_with_digest` wrote; empty if the file is missing or damaged.
+    """Return the content of a JSON file; empty if it is missing, or was cut short by a power cut.
 
     Raises:
         ConfigurationError: if the file exists but cannot be read.
     """
     try:
-        text = file.read_text(encoding="utf-8")
-        values = {**json.loads(text)}
-        del values[_DIGEST]
-        return values if _with_digest(values) == text else {}
-    except (FileNotFoundError, ValueError, TypeError, KeyError, RecursionError):
+        return {**json.loads(file.read_text(encoding="utf-8"))}
+    except (FileNotFoundError, ValueError):
         return {}
     except OSError as error:
         raise ConfigurationError(

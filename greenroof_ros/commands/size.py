@@ -1,4 +1,22 @@
-"""Compare cisterns, targets and outlets: ``greenroof size``."""
+"""Compare targets, cisterns and outlets of a site over all seasons of a weather record.
+
+The result is a sentence, a page for a client or a council, sizes.html, which can be printed to PDF,
+a table with one row per design and season, sizes.csv, and the figures as SVG and PNG. It states
+what it rests on. No forecast is used.
+
+The outlets are: none; drain, a valve that drains the cistern down to a reserve in dry weather; and
+plan, a valve that retains the water that the roof needs for 20 days. A mains top-up or an outlet
+valve that the site file lacks is assumed, and the results state this.
+
+Exit codes: 0 done, 2 bad usage or configuration, 130 interrupted
+
+Examples:
+  greenroof size --site config/site_valve.yaml --gaps fill --output sizes
+                 --weather config/weather/toronto_2014-2025.csv.gz
+  greenroof size --site my_site.yaml --weather record.csv --volumes 3 5 8 12 --targets 39
+  greenroof size --site my_site.yaml --weather record.csv --mains-price 4 --storm-water-price 1
+                 --cistern-price 600 --cistern-years 30
+"""
 
 from __future__ import annotations
 
@@ -6,8 +24,8 @@ from pathlib import Path
 
 from greenroof_ros.analysis.sizing.choice import KNEE
 from greenroof_ros.analysis.sizing.designs import OUTLETS, TARGETS, VOLUMES
-from greenroof_ros.analysis.sizing.results import PAGE, TABLE
-from greenroof_ros.analysis.sizing.run import JOBS, KNEE_RANGE, OPTIONS, PRICES, size_site
+from greenroof_ros.analysis.sizing.run import KNEE_RANGE, PRICES, size
+from greenroof_ros.analysis.sizing.sizes import PAGE, TABLE
 from greenroof_ros.base.command_line import (
     Parser,
     add_option,
@@ -23,29 +41,6 @@ from greenroof_ros.base.progress import ProgressBar
 from greenroof_ros.simulation.inputs import INPUTS
 from greenroof_ros.simulation.screen import print_weather
 
-_DESCRIPTION = """\
-Compare targets, cisterns and outlets of a site over all seasons of a weather record: irrigation
-with rain, mains water, discharge in wet and in all weather, and what the result rests on. The
-result is a sentence, a page for a client or a council, and a table. No forecast is used.
-"""
-_EPILOG = """\
-The outlets are: none; drain, a valve that drains the cistern down to a reserve in dry weather; and
-plan, a valve that retains the water that the roof needs for 20 days. A mains top-up or an outlet
-valve that the site file lacks is assumed, and the results state this.
-
-The output consists of sizes.html, which can be printed to PDF, sizes.csv with one row per design
-and season, and the figures as SVG and PNG.
-
-exit codes: 0 done, 2 bad usage or configuration, 130 interrupted
-
-examples:
-  greenroof size --site config/site_valve.yaml --gaps fill --output sizes
-                 --weather config/weather/toronto_2014-2025.csv.gz
-  greenroof size --site my_site.yaml --weather record.csv --volumes 3 5 8 12 --targets 39
-  greenroof size --site my_site.yaml --weather record.csv --mains-price 4 --storm-water-price 1
-                 --cistern-price 600 --cistern-years 30
-"""
-
 # Results that fit a terminal.
 _PRINTED = (
     "demand_met_share", "mains_m3", "wet_discharge_m3", "discharge_m3", "retention_share",
@@ -54,7 +49,7 @@ _PRINTED = (
 
 def make_parser() -> Parser:
     """Return the parser of the command line."""
-    parser = Parser(prog="greenroof size", description=_DESCRIPTION, epilog=_EPILOG)
+    parser = Parser.of("size", __doc__, "--weather FILE ... [options]")
     group = parser.add_argument_group("site and weather")
     add_site(group)
     group.add_argument(
@@ -87,6 +82,7 @@ def make_parser() -> Parser:
     group = parser.add_argument_group("value of a larger cistern")
     group.add_argument(
         "--knee", type=make_number_type(KNEE_RANGE.low, KNEE_RANGE.high), metavar="M3",
+        default=KNEE,
         help="recommend the smallest cistern for which an additional m3 would save less than "
         "this amount per season of mains water and of storm water in the sewer (m3; default: "
         f"{KNEE:g}, one filling). If prices are given, the recommended cistern is the smallest "
@@ -101,7 +97,7 @@ def make_parser() -> Parser:
         "contain an earlier sizing (default: %(default)s)",
     )
     group.add_argument(
-        "--jobs", type=make_number_type(JOBS.low, JOBS.high, int), metavar="N",
+        "--jobs", type=make_number_type(1, 1024, int), metavar="N", default=count_cores(),
         help="run N threads in parallel (default: one per core)",
     )
     return parser
@@ -110,22 +106,21 @@ def make_parser() -> Parser:
 @command
 def main() -> None:
     """Size the cistern of the site named on the command line."""
-    arguments = make_parser().parse_args()
+    given = vars(make_parser().parse_args())
+    output: Path = given.pop("output")
     with require_extra("study"):
         from greenroof_ros.analysis.page import claim_output
         from greenroof_ros.analysis.sizing.page import tabulate_volumes
-    claim_output(arguments.output, PAGE, [TABLE])
-    given = {name: getattr(arguments, name) for name in OPTIONS}
-    given["jobs"] = given["jobs"] or count_cores()
+    claim_output(output, PAGE, [TABLE])
     signals = Signals()  # a signal ends the runs at the next report
-    with ProgressBar() as bar, rename_keys({name: option_of(name) for name in OPTIONS}):
+    with ProgressBar() as bar, rename_keys({name: option_of(name) for name in given}):
         def report(text: str, share: float) -> None:
             signals.check()
             bar.show(text, share)
 
-        sizes = size_site(given, report, print_weather)
+        sizes = size(progress=report, show=print_weather, **given)
         report("drawing", 1.0)
-        page = sizes.save(arguments.output)
+        page = sizes.save(output)
     console = PlainConsole()
     console.print(sizes.sentence, style="bold")
     table = tabulate_volumes(sizes, _PRINTED)[0]

@@ -1,23 +1,28 @@
-"""Run all simulations of a grid: ``greenroof study``."""
+"""Run every combination of the sites, weather, controllers and parameters in a grid, in parallel.
+
+The results are collected in one table, results.csv. Without a grid, the command runs the paper's 30
+runs. If it is interrupted or killed, run it again to continue.
+
+Exit codes: 0 done; 1 a run failed (the other runs are in the table), or a process was lost (run
+the same command again to continue); 2 bad usage or configuration; 130 interrupted
+
+Examples:
+  greenroof study                         the paper's 30 runs
+  greenroof study my_study.yaml --jobs 4  your grid, on 4 cores
+  greenroof report studies/paper          tables and figures
+"""
 
 from __future__ import annotations
 
-import math
 import sys
-from collections.abc import Mapping, Sequence
-from contextlib import ExitStack
 from pathlib import Path
-from statistics import fmean
-from typing import Any
 
 import yaml
-from rich.table import Column, Table
 
-from greenroof_ros.analysis.executors import WorkersLostError, open_dask
+from greenroof_ros.analysis.executors import WorkersLostError
 from greenroof_ros.analysis.grid import read_grid
 from greenroof_ros.analysis.store import StudyStore
 from greenroof_ros.analysis.study import run_study
-from greenroof_ros.analysis.tables import COLUMNS, format_range
 from greenroof_ros.base.command_line import (
     EXIT_DONE,
     EXIT_FAILED,
@@ -28,41 +33,17 @@ from greenroof_ros.base.command_line import (
     refuse,
 )
 from greenroof_ros.base.console import PlainConsole
+from greenroof_ros.base.errors import require_extra
 from greenroof_ros.base.files import find_shipped
 from greenroof_ros.base.processes import InterruptedRun, Signals
 from greenroof_ros.base.progress import ProgressBar
 from greenroof_ros.base.text import escape
 from greenroof_ros.weather.summary import as_lines
 
-# The bounds of metrics, by the metrics' names.
-_BOUNDS = {
-    "total_deviation_m3": "bound_m3", "wet_discharge_m3": "bound_wet_discharge_m3",
-    "mains_m3": "bound_mains_m3",
-}
-_NOTES = {
-    "filled_hours": "had missing hours of weather filled in",
-    "frost_hours": "had frost, in which nothing was pumped",
-    "limited_steps": "had a tank run empty",
-}
-_DESCRIPTION = """\
-Run every combination of the sites, weather windows, initial states, controllers and parameters in a
-grid in parallel, and collect the results in one table, results.csv. Without a grid, the command
-runs the paper's 30 runs. If the command is interrupted or killed, run it again to continue.
-"""
-_EPILOG = """\
-exit codes: 0 done, 1 a run failed (the other runs are in the table) or the workers were lost (run
-the same command again to continue), 2 bad usage or configuration, 130 interrupted
-
-examples:
-  greenroof study                         the paper's 30 runs
-  greenroof study my_study.yaml --jobs 4  your grid, on 4 cores
-  greenroof report studies/paper          tables and figures
-"""
-
 
 def make_parser() -> Parser:
     """Return the parser of the command line."""
-    parser = Parser(prog="greenroof study", description=_DESCRIPTION, epilog=_EPILOG)
+    parser = Parser.of("study", __doc__, "[GRID.yaml] [options]")
     parser.add_argument(
         "grid", nargs="?", type=Path, metavar="GRID.yaml",
         default=Path("config/studies/paper.yaml"), help="grid file, your own or one of this "
@@ -83,11 +64,6 @@ def make_parser() -> Parser:
         help="use N threads, and N processes for controllers that are not compiled (default: one "
         "per core)",
     )
-    parser.add_argument(
-        "--scheduler", metavar="ADDRESS",
-        help="run on a Dask cluster, such as tcp://10.0.0.1:8786, instead of on this machine; its "
-        "workers need greenroof_ros[dask,study]",
-    )
     trajectories = parser.add_mutually_exclusive_group()
     trajectories.add_argument(
         "--trajectory-every", type=make_number_type(0, 1e9), default=0.0, metavar="S",
@@ -106,6 +82,10 @@ def make_parser() -> Parser:
 def main() -> int:
     """Run the cases of a study that have not been completed yet."""
     arguments = make_parser().parse_args()
+    with require_extra("study"):
+        from greenroof_ros.analysis.report.cases import Report
+        from greenroof_ros.analysis.report.page import make_table
+        from greenroof_ros.analysis.report.sources import find_runs
     weather: Path | None = arguments.weather
     refuse((
         weather is not None and not weather.is_dir(), "--weather", str(weather),
@@ -128,18 +108,13 @@ def main() -> int:
         print(f"{len(store.results)} of {len(grid.cases)} runs are stored", file=sys.stderr)
     signals = Signals()  # from now on a signal ends the study between two results
     try:
-        with ExitStack() as stack:
-            executor = None
-            if arguments.scheduler is not None:
-                executor = stack.enter_context(open_dask(arguments.scheduler))
-            bar = stack.enter_context(ProgressBar())
-
+        with ProgressBar() as bar:
             def report(share: float) -> None:
                 signals.check()
                 bar.show(f"{len(store.results)} of {len(grid.cases)} runs", share)
 
             run_study(
-                store, executor=executor, jobs=arguments.jobs, progress=report,
+                store, jobs=arguments.jobs, progress=report,
                 tell=lambda text: print(escape(text), file=sys.stderr),
             )
     except (WorkersLostError, InterruptedRun) as error:
@@ -152,45 +127,9 @@ def main() -> int:
         ), file=sys.stderr)
         return EXIT_FAILED if received is None else EXIT_INTERRUPTED
     finally:
-        rows = store.write_table()
-    show(rows, grid.show)
+        store.write_table()
+    if store.results:
+        table = make_table(Report(find_runs([store.directory])))
+        PlainConsole().print_table(table.caption, table.headings(), table.texts(), table.marked)
     print(escape(f"written to {store.directory / 'results.csv'}"))
     return EXIT_FAILED if store.failures else EXIT_DONE
-
-
-def show(rows: Sequence[Mapping[str, Any]], metrics: Sequence[str]) -> None:
-    """Print the mean of each metric over years and seeds, with its range, the lowest mean first.
-
-    Args:
-        rows: rows of the study's ``results.csv``, one for each run.
-        metrics: names of the metrics.
-    """
-    console, places = PlainConsole(), dict[str, dict[str, list[Mapping[str, Any]]]]()
-    for row in rows:
-        if row["status"] == "done":
-            cases = places.setdefault(f"{row['window']}, from {row['initial']}", {})
-            cases.setdefault(row["case"], []).append(row)
-    for place, cases in places.items():
-        headings = (Column(COLUMNS[name].heading, justify="right") for name in metrics)
-        table = Table("case", *headings, title=place, title_justify="left")
-        lines = {
-            case: [_list_known(runs, name) for name in metrics] for case, runs in cases.items()
-        }
-        every = [run for runs in cases.values() for run in runs]
-        least = [_list_known(every, _BOUNDS.get(name, "")) for name in metrics]
-        for case, values in [
-            *[("minimum possible", least)] * any(least),
-            *sorted(lines.items(), key=lambda line: fmean(line[1][0] or [math.inf])),
-        ]:
-            table.add_row(case, *(
-                format_range(fmean(each), min(each), max(each), COLUMNS[name]) if each else ""
-                for name, each in zip(metrics, values, strict=True)
-            ))
-        console.print(table)
-    for column, what in _NOTES.items():
-        if count := sum(bool(row.get(column)) for row in rows):
-            console.print(f"NOTE: {count} of {len(rows)} runs {what} (column {column})")
-
-
-def _list_known(runs: Sequence[Mapping[str, Any]], name: str) -> list[float]:
-    return [run[name] for run in runs if run.get(name) is not None]

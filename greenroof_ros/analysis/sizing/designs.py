@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -25,14 +24,14 @@ TAU = 60.0
 """duration of a tick (s)"""
 
 VOLUMES, TARGETS = Range(0.05, 1e5, "m3"), Range(1.0, 1000.0, "mm")
-# Preferred numbers of ISO 3: each is 60 % (R5) or 12 % (R20) larger than the one before.
-_R5 = (1.0, 1.6, 2.5, 4.0, 6.3)
+# Preferred numbers of ISO 3, series R20: each is 12 % larger than the one before. Every fourth is
+# one of series R5.
 _R20 = (
     1.0, 1.12, 1.25, 1.4, 1.6, 1.8, 2.0, 2.24, 2.5, 2.8, 3.15, 3.55, 4.0, 4.5, 5.0, 5.6, 6.3, 7.1,
     8.0, 9.0,
 )
-# The smallest default volume holds at least this depth of rain on the connected area [assumed].
-_SMALLEST_M, _COUNT = 0.004, 8
+# Depths of rain on the connected area that the default cisterns hold (m) [assumed].
+_DEPTHS_M = 0.004, 0.14
 # Steps of the default targets, as a share of the water that the soil holds; and of these steps, the
 # share by which the best target is refined.
 _STEP, _FINE = 1 / 20, 1 / 4
@@ -53,37 +52,34 @@ class Design(NamedTuple):
     """one of :data:`OUTLETS`"""
 
     @property
+    def columns(self) -> dict[str, Any]:
+        """The design as columns of a table."""
+        return {"volume_m3": self.volume, "target_mm": self.target, "outlet": self.outlet}
+
+    @property
     def described_outlet(self) -> str:
         """The outlet in words."""
         return "no valve" if self.outlet == NONE else f"valve with {self.outlet}"
 
 
 def choose_volumes(site: Site) -> list[float]:
-    """Return the default volumes (m3).
-
-    The volumes are eight preferred numbers, which correspond to rain of 4 to about 100 mm on the
-    connected area, and the volume of the site's own cistern.
-    """
-    smallest = _SMALLEST_M * connected_area(site)
-    decade = math.floor(math.log10(smallest))
-    numbers = (
-        float(f"{number * 10.0**power:.3g}")
-        for power in range(decade, decade + 4) for number in _R5
-    )
-    larger = (volume for volume in numbers if volume >= smallest and volume in VOLUMES)
-    return sorted({*itertools.islice(larger, _COUNT), find_volume(site)})
+    """Return the default volumes (m3): that of the site's own cistern, and preferred numbers."""
+    low, high = (depth * connected_area(site) for depth in _DEPTHS_M)
+    return sorted({*_list_preferred(low, high, step=4), find_volume(site)})
 
 
 def refine_volumes(volumes: Sequence[float], best: float) -> list[float]:
-    """Return the volumes (m3) of series R20 between the neighbours of the best of some volumes."""
+    """Return volumes (m3) in finer steps between the neighbours of the best of some volumes."""
     place = volumes.index(best)
     low, high = volumes[max(place - 1, 0)], volumes[min(place + 1, len(volumes) - 1)]
-    decade = math.floor(math.log10(low))
-    between = (
-        float(f"{number * 10.0**power:.3g}")
-        for power in range(decade, decade + 3) for number in _R20
-    )
-    return [volume for volume in between if low < volume < high and volume not in volumes]
+    return [volume for volume in _list_preferred(low, high) if volume not in volumes]
+
+
+def _list_preferred(low: float, high: float, step: int = 1) -> list[float]:
+    """Return the preferred numbers of a range, or every fourth of them."""
+    decades = range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
+    numbers = (float(f"{each * 10.0**decade:.3g}") for decade in decades for each in _R20[::step])
+    return [number for number in numbers if low <= number <= high]
 
 
 def find_volume(site: Site) -> float:
@@ -112,23 +108,16 @@ def _find_step(site: Site) -> float:
     return 1000 * _STEP * site.roof_level(site.z_cap)
 
 
-def read_numbers(values: Sequence[Any] | None, key: str, allowed: Range) -> list[float] | None:
+def read_numbers(values: Any, key: str, allowed: Range) -> list[float]:
     """Return the numbers under a key in ascending order.
 
     Raises:
-        ConfigurationError: if a number is out of range or appears twice, or if there is no number.
+        ConfigurationError: if a number is out of range, or if there is no number.
     """
-    if values is None:
-        return None
-    if isinstance(values, str) or not hasattr(values, "__iter__"):
-        values = [values]
-    numbers = sorted(allowed.read(value, key=key) for value in values)
-    if not numbers:
-        raise ConfigurationError("must list at least one number", key=key)
-    for one, other in itertools.pairwise(numbers):
-        if one == other:
-            raise ConfigurationError("appears twice", key=key, value=one)
-    return numbers
+    given = values if hasattr(values, "__iter__") and not isinstance(values, str) else [values]
+    if numbers := sorted({allowed.read(value, key=key) for value in given}):
+        return numbers
+    raise ConfigurationError("must list at least one number", key=key)
 
 
 def read_outlets(names: Sequence[str] | None) -> list[str]:
@@ -138,11 +127,8 @@ def read_outlets(names: Sequence[str] | None) -> list[str]:
         ConfigurationError: if a name is not that of an outlet.
     """
     given = [names] if isinstance(names, str) else list(names or OUTLETS)
-    for name in given:
-        if name not in OUTLETS:
-            raise ConfigurationError(
-                describe_choices(OUTLETS, str(name)), key="outlets", value=name
-            )
+    if wrong := next((name for name in given if name not in OUTLETS), None):
+        raise ConfigurationError(describe_choices(OUTLETS, wrong), key="outlets", value=wrong)
     return [name for name in OUTLETS if name in given]
 
 

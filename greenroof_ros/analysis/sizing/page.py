@@ -8,25 +8,18 @@ from typing import TYPE_CHECKING, Any
 
 import altair as alt
 
-from greenroof_ros.analysis.figures import Figure, Panel, Rows, distinguish_series, round_value
+from greenroof_ros.analysis.figures import Figure, Panel, distinguish_series
 from greenroof_ros.analysis.page import Section, make_page, write_output
+from greenroof_ros.analysis.seasons import find_ranges
 from greenroof_ros.analysis.sizing.choice import MAX_LOST
-from greenroof_ros.analysis.sizing.designs import Design
-from greenroof_ros.analysis.sizing.results import (
-    KEPT,
-    LOST,
-    PAGE,
-    SHOWN,
-    TABLE,
-    Results,
-    find_spread,
-)
-from greenroof_ros.analysis.tables import Table, format_range
+from greenroof_ros.analysis.sizing.sizes import BY_DESIGN, KEPT, LOST, PAGE, SHOWN, TABLE, Sizes
+from greenroof_ros.analysis.tables import Table, write_range
 
 if TYPE_CHECKING:
-    from greenroof_ros.analysis.sizing.sizes import Sizes
+    import polars
 
 _TITLE = "Which cistern for the green roof?"
+_VARIED = {"volume": ("volume_m3", "cistern (m³)"), "target": ("target_mm", "target (mm)")}
 _RESTS_ON = ("mains_m3", "wet_discharge_m3", KEPT, "discharge_m3", LOST)
 
 
@@ -34,7 +27,9 @@ def write_page(sizes: Sizes, directory: Path) -> Path:
     """Write the page with its figures and its table, and return its path."""
     figures = [draw_volumes(sizes), _draw_targets(sizes)]
     html = make_page(_TITLE, sizes.sentence, list_sections(sizes, figures))
-    return write_output(directory, PAGE, html, figures, {TABLE: sizes.to_csv()})
+    remarks = "".join(f"# {note}\n" for note in (*sizes.notes, *sizes.read))
+    table = remarks + sizes.table_of_seasons.write_csv()
+    return write_output(directory, PAGE, html, figures, {TABLE: table})
 
 
 def list_sections(sizes: Sizes, figures: Sequence[Figure]) -> list[Section]:
@@ -57,7 +52,6 @@ def list_sections(sizes: Sizes, figures: Sequence[Figure]) -> list[Section]:
         ) for start in sizes.starts
     )
     first, *others = tabulate_volumes(sizes)
-    targets = sizes.select_targets()
     return [
         Section("The recommendation", [
             f"The green roof covers {site.a2:g} m². Another {site.a_in:g} m² of roofs drain to the "
@@ -81,8 +75,7 @@ def list_sections(sizes: Sizes, figures: Sequence[Figure]) -> list[Section]:
             sizes.notes,
         ]),
         Section("Other targets and outlets", [
-            _tabulate(sizes, f"Targets, cistern {targets[0].volume:g} m³, "
-                      f"{targets[0].described_outlet}", "target (mm)", targets, "target"),
+            _tabulate(sizes, f"Targets, {own.described_outlet}", "target", _select_targets(sizes)),
             *others,
         ], folded=True),
         Section("What was read", [sizes.read]),
@@ -94,6 +87,12 @@ def list_sections(sizes: Sizes, figures: Sequence[Figure]) -> list[Section]:
     ]
 
 
+def _select_targets(sizes: Sizes) -> polars.DataFrame:
+    """Return the means and ranges of the designs that compare targets, by target."""
+    volume, outlet = sizes.table.select("volume_m3", "outlet").row(0)
+    return sizes.table.filter(volume_m3=volume, outlet=outlet).sort("target_mm")
+
+
 def tabulate_volumes(sizes: Sizes, names: Sequence[str] = ()) -> list[Table]:
     """Return a table of the cisterns for each outlet, beginning with the recommended outlet.
 
@@ -101,46 +100,50 @@ def tabulate_volumes(sizes: Sizes, names: Sequence[str] = ()) -> list[Table]:
         sizes: the sizes.
         names: names of the results to show; by default all.
     """
+    own, table = sizes.recommended, sizes.table.filter(target_mm=sizes.recommended.target)
+    outlets = sorted({*table["outlet"]}, key=lambda outlet: (outlet != own.outlet, outlet))
     return [
         _tabulate(
-            sizes, f"Cisterns, {designs[0].described_outlet}, target {designs[0].target:g} mm",
-            "cistern (m³)", designs, "volume", names,
-        ) for designs in sizes.select_volumes().values()
+            sizes, f"Cisterns, {own._replace(outlet=outlet).described_outlet}, target "
+            f"{own.target:g} mm", "volume", table.filter(outlet=outlet).sort("volume_m3"), names,
+        ) for outlet in outlets
     ]
 
 
 def _tabulate(
-    sizes: Sizes, caption: str, heading: str, designs: Sequence[Design], varied: str,
-    names: Sequence[str] = (),
+    sizes: Sizes, caption: str, varied: str, table: polars.DataFrame, names: Sequence[str] = ()
 ) -> Table:
     """Return the table of designs that differ in an attribute, ``volume`` or ``target``."""
-    columns = {name: SHOWN[name] for name in names or sizes.columns}
+    column, heading = _VARIED[varied]
+    shown = {name: SHOWN[name] for name in names or SHOWN if name in table.columns}
+    rows = table.to_dicts()
     own = getattr(sizes.recommended, varied)
-    rows = [
-        [f"{getattr(design, varied):g}", *(sizes.format(name, design) for name in columns)]
-        for design in designs
-    ]
-    chosen = (row for row, design in enumerate(designs) if getattr(design, varied) == own)
-    return Table(caption, [heading, *columns.values()], rows, frozenset(chosen))
+    return Table(
+        caption, [heading, *shown.values()],
+        [[f"{row[column]:g}", *(write_range(row, *each) for each in shown.items())]
+         for row in rows],
+        frozenset(place for place, row in enumerate(rows) if row[column] == own),
+    )
 
 
 def _tabulate_assumptions(sizes: Sizes) -> Table:
     """Return the table of the recommended design at both ends of every assumption."""
     own, columns = sizes.recommended, {name: SHOWN[name] for name in _RESTS_ON}
 
-    def row(label: str, value: str, results: Results, best: float) -> list[str]:
-        cells = (format_range(*find_spread(results[name]), each) for name, each in columns.items())
+    def row(label: str, value: str, rows: polars.DataFrame, best: float) -> list[str]:
+        (ranges,) = find_ranges(rows, BY_DESIGN).to_dicts()
+        cells = (write_range(ranges, *each) for each in columns.items())
         return [label, value, *cells, f"{best:g}"]
 
+    used = sizes.table_of_seasons.filter(**own.columns)
     return Table(
         "The recommended design with each assumption at the ends of its range, one at a time",
         ["assumption", "value", *columns.values(), "best cistern (m³)"],
         [
-            row("as used", "", sizes.results[own], own.volume),
+            row("as used", "", used, own.volume),
             *(
-                row(f"{each.assumption.label}; used: "
-                    f"{getattr(sizes.site, each.assumption.name):g}", f"{each.value:g}",
-                    each.results, each.best) for each in sizes.tested
+                row(f"{end.assumption.label}; used: {getattr(sizes.site, end.assumption.name):g}",
+                    f"{end.value:g}", rows, best) for end, rows, best in sizes.tested
             ),
         ],
         frozenset({0}),
@@ -154,58 +157,44 @@ _DRAWN = ("mains_m3", "wet_discharge_m3", "discharge_m3", "demand_met_share")
 
 def draw_volumes(sizes: Sizes) -> Figure:
     """Return the figure of the results against the volume, with a line for each outlet."""
-    designs = [design for group in sizes.select_volumes().values() for design in group]
-    rows = _list_rows(sizes, designs, "volume", _DRAWN)
-    return _draw("cisterns", "Cisterns and outlets", "cistern (m³)", rows, _DRAWN, "log")
+    table = sizes.table.filter(target_mm=sizes.recommended.target)
+    return _draw("cisterns", "Cisterns and outlets", "volume", table, _DRAWN, "log")
 
 
 def _draw_targets(sizes: Sizes) -> Figure:
     """Return the figure of the water that a target takes, and of what plants lose."""
-    names, designs = ("mains_m3", LOST), sizes.select_targets()
-    title = f"Targets, with a cistern of {designs[0].volume:g} m³"
-    rows = _list_rows(sizes, designs, "target", names)
-    return _draw("targets", title, "target (mm)", rows, names, "linear")
-
-
-def _list_rows(
-    sizes: Sizes, designs: Sequence[Design], varied: str, names: Sequence[str]
-) -> Rows:
-    rows = []
-    for design in designs:
-        row: dict[str, Any] = {"outlet": design.outlet, "x": getattr(design, varied)}
-        for name in names:
-            factor = 100.0 if SHOWN[name].unit == "%" else 1.0
-            spread = find_spread(sizes.results[design][name])
-            row |= {
-                f"{name}{end}": round_value(factor * value)
-                for end, value in zip(("", "_low", "_high"), spread, strict=True)
-            }
-        rows.append(row)
-    return rows
+    table = _select_targets(sizes)
+    title = f"Targets, with a cistern of {table['volume_m3'][0]:g} m³"
+    return _draw("targets", title, "target", table, ("mains_m3", LOST), "linear")
 
 
 def _draw(
-    name: str, title: str, axis: str, rows: Rows, names: Sequence[str], scale: Any
+    name: str, title: str, varied: str, table: polars.DataFrame, names: Sequence[str], scale: Any
 ) -> Figure:
     """Return a figure with a panel for each result."""
-    places = sorted({row["x"] for row in rows})
+    column, heading = _VARIED[varied]
     x = alt.X(
-        "x:Q", title=axis, axis=alt.Axis(values=places, format="~g", labelOverlap=True),
+        f"{column}:Q", title=heading,
+        axis=alt.Axis(values=sorted({*table[column]}), format="~g", labelOverlap=True),
         scale=alt.Scale(type=scale, nice=False, zero=False),
     )
-    series = distinguish_series("outlet", list(dict.fromkeys(row["outlet"] for row in rows)))
+    series = distinguish_series("outlet", list(dict.fromkeys(table["outlet"])))
     for channel in series.values():
         channel.legend = alt.Legend(symbolType="stroke", symbolSize=400, columns=3)
     base, panels = alt.Chart(alt.NamedData(name)).encode(x=x, **series), []
     for each in names:
+        axis = alt.Axis(format="%") if SHOWN[each].unit == "%" else alt.Axis()
         band = base.mark_area(opacity=0.15, strokeOpacity=0).encode(
-            y=alt.Y(f"{each}_low:Q", title=None), y2=alt.Y2(f"{each}_high:Q")
+            y=alt.Y(f"{each}_min:Q", title=None, axis=axis), y2=alt.Y2(f"{each}_max:Q")
         )
         line = base.mark_line(strokeWidth=2, point=True).encode(
             y=alt.Y(f"{each}:Q", title=None, scale=alt.Scale(zero=True))
         )
         panels.append(Panel(alt.layer(band, line), SHOWN[each].heading, 200))
+    drawn = table.select(column, "outlet", *(
+        f"{each}{end}" for each in names for end in ("", "_min", "_max")
+    ))
     return Figure(
         name, title, "Lines are means of the seasons; bands extend from the lowest to the highest "
-        "season.", tuple(panels), 2, {name: rows},
+        "season.", tuple(panels), 2, {name: drawn.to_dicts()},
     )

@@ -1,25 +1,22 @@
-"""A comparison of targets, cisterns and outlets for a site and a weather record."""
+"""The comparison of targets, cisterns and outlets of a site over all seasons of a record."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import Any
-
-import numpy as np
+from itertools import product
+from typing import TYPE_CHECKING, Any
 
 from greenroof_ros.analysis.assumptions import list_ends
-from greenroof_ros.analysis.seasons import find_seasons, list_notes, read_window
+from greenroof_ros.analysis.seasons import find_ranges, find_seasons, list_notes, read_window
 from greenroof_ros.analysis.sizing import designs as plans
-from greenroof_ros.analysis.sizing.choice import KNEE, Prices, choose_volume
-from greenroof_ros.analysis.sizing.choice import find_target as choose_target
+from greenroof_ros.analysis.sizing.choice import KNEE, Prices, choose_volume, find_target
 from greenroof_ros.analysis.sizing.designs import Design
-from greenroof_ros.analysis.sizing.results import COST, KEPT, LOST, Results
-from greenroof_ros.analysis.sizing.sizes import Sizes, Tested
-from greenroof_ros.base.errors import ConfigurationError
+from greenroof_ros.analysis.sizing.sizes import BY_DESIGN, COST, KEPT, LOST, Sizes, Tested
 from greenroof_ros.base.parameter import make_record, parameters_of
 from greenroof_ros.base.ranges import Range
 from greenroof_ros.controllers.registry import find_controller
+from greenroof_ros.results.forked_polars import make_frame
 from greenroof_ros.results.metrics import METRICS
 from greenroof_ros.simulation.inputs import make_inputs
 from greenroof_ros.simulation.run import Run
@@ -27,166 +24,183 @@ from greenroof_ros.simulation.season import Case, simulate_season
 from greenroof_ros.site.site import Site
 from greenroof_ros.weather.summary import as_lines, summarize
 
+if TYPE_CHECKING:
+    import polars
+
 PRICES = {parameter.name: parameter for parameter in parameters_of(Prices)}
 KNEE_RANGE = Range(0.0, 1e6, "m3")
-JOBS = Range(1, 1024, whole=True)
 # Share of the cistern that is full when a season begins.
 _HALF = 0.5
 
-_OF_RUN = ("site", "weather", "evapotranspiration", "gaps")
-OPTIONS = (*_OF_RUN, "volumes", "targets", "outlets", "season", "knee", "jobs", *PRICES)
-"""names of the options that a user can pass"""
 
-
-def size_site(
-    given: Mapping[str, Any],
+def size(
+    weather: Any, site: Any = None, *, evapotranspiration: str | None = None,
+    gaps: str | None = None, volumes: Sequence[float] | None = None,
+    targets: Sequence[float] | None = None, outlets: Sequence[str] | None = None,
+    season: str | None = None, knee: float = KNEE, jobs: int = 1,
     progress: Callable[[str, float], None] = lambda text, share: None,
-    show: Callable[[Mapping[str, Any]], None] = lambda summary: None,
+    show: Callable[[Mapping[str, Any]], None] = lambda summary: None, **prices: float | None,
 ) -> Sizes:
-    """Compare targets with the site's own cistern, and then cisterns with the best target.
+    """Compare cisterns, targets and outlets over all seasons of a record, like ``greenroof size``.
+
+    Targets are compared with the site's own cistern, and then cisterns with the best target.
 
     Args:
-        given: values of :data:`OPTIONS`, by name; an option that is None or left out gets its
-            default.
+        weather: files, a pattern or a data frame, as for ``gr.simulate``, with at least one season.
+        site: a site file, or a site from ``gr.read_site``; by default the paper's site.
+        evapotranspiration: as for ``gr.simulate``.
+        gaps: as for ``gr.simulate``.
+        volumes: volumes of the cistern up to its overflow (m3); by default the site's own, and
+            volumes that suit the roof and the catchment.
+        targets: target depths of the water on the roof (mm); by default the site's target, and
+            steps of a twentieth of what the soil holds.
+        outlets: any of ``"none"``, ``"drain"`` and ``"plan"``; by default all three.
+        season: first and last day of the season, as in ``"05-01/10-31"``; by default May to
+            October, or November to April south of the equator.
+        knee: minimum volume of water that each additional m3 of cistern must save per season (m3).
+        jobs: number of threads.
         progress: callback that receives the current task and the share of it that is done, 0 to 1;
             an error that it raises ends the runs.
         show: function that receives the summary of the weather.
+        prices: ``mains_price``, ``storm_water_price``, ``cistern_price`` (each per m3), and
+            ``cistern_years``, the number of years over which the price of the cistern is spread:
+            all four, or none.
+
+    Returns:
+        The results: ``.sentence``, ``.table``, ``.table_of_seasons``, ``.plot()`` and
+        ``.save(directory)``, which writes the page.
 
     Raises:
-        ConfigurationError: if an input is invalid; the key of the error is the option's name.
+        ConfigurationError: if an input is invalid; the message names the input and states what
+            would be right.
+
+    Example:
+        >>> import greenroof_ros as gr
+        >>> sizes = gr.size(
+        ...     site="config/site_valve.yaml", weather="config/weather/toronto_2021-07.csv",
+        ...     season="07-07/07-08", volumes=[5, 10], targets=[36, 39], outlets=["none"],
+        ... )
+        >>> sizes.recommended.target
+        36.0
     """
-    values = {name: value for name, value in given.items() if value is not None}
-    volumes = plans.read_numbers(values.get("volumes"), "volumes", plans.VOLUMES)
-    targets = plans.read_numbers(values.get("targets"), "targets", plans.TARGETS)
-    outlets = plans.read_outlets(values.get("outlets"))
-    knee = KNEE_RANGE.read(values.get("knee", KNEE), key="knee")
-    jobs = int(JOBS.read(values.get("jobs", 1), key="jobs"))
-    priced = {name: values[name] for name in PRICES if name in values}
-    prices = make_record(Prices, priced) if priced else None
-    if "weather" not in values:
-        raise ConfigurationError(
-            "is missing; specify records that cover at least one season", key="weather"
-        )
-    inputs = make_inputs(
-        find_controller(plans.CONTROLLER),
-        {name: values[name] for name in _OF_RUN if name in values},
-    )
-    site = inputs.read_site()
-    for target in targets or []:
-        plans.check_target(site, target)
-    window, outlet = read_window(values.get("season"), site), plans.choose_outlet(site, outlets)
-    own = volumes[len(volumes) // 2] if volumes else plans.find_volume(site)
+    given = {name: price for name, price in prices.items() if price is not None}
+    priced = make_record(Prices, given) if given else None
+    own_volumes = None if volumes is None else plans.read_numbers(volumes, "volumes", plans.VOLUMES)
+    own_targets = None if targets is None else plans.read_numbers(targets, "targets", plans.TARGETS)
+    kinds, knee = plans.read_outlets(outlets), KNEE_RANGE.read(knee, key="knee")
+    inputs = make_inputs(find_controller(plans.CONTROLLER), {
+        name: value for name, value in {
+            "site": site, "weather": weather, "evapotranspiration": evapotranspiration,
+            "gaps": gaps,
+        }.items() if value is not None
+    })
+    base = inputs.read_site()
+    for target in own_targets or []:
+        plans.check_target(base, target)
+    window, outlet = read_window(season, base), plans.choose_outlet(base, kinds)
+    compared = own_volumes or plans.choose_volumes(base)
+    own = compared[len(compared) // 2] if own_volumes else plans.find_volume(base)
     progress("reading weather", 0.0)
-    weather, _ = inputs.read_records(site)
-    summary = summarize(weather, site)
+    record, _ = inputs.read_records(base)
+    summary = summarize(record, base)
     show(summary)
-    ticks = plans.build(site, Design(own, 1000 * site.z_veg, outlet))[0]
-    seasons, incomplete = find_seasons(inputs, ticks, weather, window)
-    results: dict[Design, Results] = {}
+    ticks = plans.build(base, Design(own, 1000 * base.z_veg, outlet))[0]
+    seasons, incomplete = find_seasons(inputs, ticks, record, window)
 
     def run(
-        text: str, designs: Sequence[Design], given: Site = site,
+        text: str, designs: Sequence[Design], like: Site = base,
         runs: Mapping[str, Run] = seasons, filled: float = _HALF,
-    ) -> list[Results]:
+    ) -> polars.DataFrame:
         return _simulate(
-            [(*plans.build(given, each), filled * each.volume) for each in designs],
-            [*runs.values()], prices, jobs, lambda share: progress(text, share),
+            {each: plans.build(like, each) for each in designs}, runs, filled, priced, jobs,
+            lambda share: progress(text, share),
         )
 
-    def find_target(targets: Sequence[float]) -> float:
-        new = [Design(own, target, outlet) for target in targets]
-        results.update(zip(new, run("comparing targets", new), strict=True))
-        tried = sorted(results)
-        lost = np.array([results[design][LOST].mean() for design in tried])
-        return choose_target([design.target for design in tried], lost)
+    def add_targets(rows: polars.DataFrame | None, levels: Sequence[float]) -> polars.DataFrame:
+        made = run("comparing targets", [Design(own, level, outlet) for level in levels])
+        return made if rows is None else rows.vstack(made)
 
-    def find_volume(volumes: Sequence[float], made: Mapping[Design, Results]) -> float:
-        ranked = [made[Design(volume, target, outlet)] for volume in volumes]
-        mains, wet = (
-            np.array([each[name].mean() for each in ranked])
-            for name in ("mains_m3", "wet_discharge_m3")
-        )
-        return choose_volume(volumes, mains, wet, prices, knee)
+    def best_target(rows: polars.DataFrame) -> float:
+        means = find_ranges(rows, BY_DESIGN).sort("target_mm")
+        return find_target(means["target_mm"].to_list(), means[LOST].to_numpy())
 
-    def compare(volumes: Sequence[float]) -> float:
-        new = [
-            design for each in outlets for volume in volumes
-            if (design := Design(volume, target, each)) not in results
-        ]
-        results.update(zip(new, run("comparing cisterns", new), strict=True))
-        return find_volume(volumes, results)
+    def add_volumes(rows: polars.DataFrame, volumes: Sequence[float]) -> polars.DataFrame:
+        there = {*rows.select(BY_DESIGN).iter_rows()}
+        designs = [Design(volume, target, kind) for kind in kinds for volume in volumes]
+        new = [design for design in designs if design not in there]
+        return rows.vstack(run("comparing cisterns", new)) if new else rows
 
-    target = find_target(targets or plans.choose_targets(site))
-    if targets is None:
-        target = find_target(plans.refine_targets(site, target))
-    compared = volumes or plans.choose_volumes(site)
-    volume = compare(compared)
-    if volumes is None:
-        compared = sorted({*compared, *plans.refine_volumes(compared, volume)})
-        volume = compare(compared)
-    recommended, tested = Design(volume, target, outlet), []
-    empty, full = (
-        run("other initial states", [recommended], filled=part)[0] for part in (0.0, 1.0)
-    )
-    for end in list_ends(site):
+    def best_volume(rows: polars.DataFrame) -> float:
+        means = find_ranges(rows.filter(target_mm=target, outlet=outlet), BY_DESIGN)
+        volumes, mains, wet = means.sort("volume_m3").select(
+            "volume_m3", "mains_m3", "wet_discharge_m3"
+        ).to_numpy().T
+        return choose_volume(volumes, mains, wet, priced, knee)
+
+    rows = add_targets(None, own_targets or plans.choose_targets(base))
+    target = best_target(rows)
+    if own_targets is None:
+        rows = add_targets(rows, plans.refine_targets(base, target))
+        target = best_target(rows)
+    rows = add_volumes(rows, compared)
+    volume = best_volume(rows)
+    if own_volumes is None:
+        finer = plans.refine_volumes(compared, volume)
+        compared, rows = sorted({*compared, *finer}), add_volumes(rows, finer)
+        volume = best_volume(rows)
+    best = Design(volume, target, outlet)
+    reference, tested = rows.filter(**best.columns), list[Tested]()
+    for end in list_ends(base):
         runs, designs = seasons, [Design(each, target, outlet) for each in compared]
         if end.assumption.name == "k_Rs":  # the only one on which evapotranspiration depends
             ended, _ = inputs.read_records(end.site)
             runs, _ = find_seasons(inputs, replace(ticks, k_Rs=end.value), ended, window)
-        text = f"assuming {end.assumption.name} {end.value:g}"
-        made = dict(zip(designs, run(text, designs, end.site, runs), strict=True))
-        if any(not np.array_equal(values, results[recommended][name], equal_nan=True)
-               for name, values in made[recommended].items()):
-            tested.append(Tested(
-                end.assumption, end.value, made[recommended], find_volume(compared, made)
-            ))
+        made = run(f"assuming {end.assumption.name} {end.value:g}", designs, end.site, runs)
+        if not (changed := made.filter(**best.columns)).equals(reference):
+            tested.append(Tested(end, changed, best_volume(made)))
     contents, *notes = as_lines(summary)
     left_out = [f"season {name} is left out: {why}" for name, why in incomplete.items()]
     return Sizes(
-        site, results, recommended, tested, (empty, full), list(seasons), f"{window}",
-        [*plans.list_assumed(site, outlets), *_remark(results[recommended], volume, compared)],
-        [f"{weather.source}: {contents}", *notes, *list_notes(seasons, site), *left_out],
-        prices, knee,
+        base, rows, best, tested,
+        [run("other initial states", [best], filled=filled) for filled in (0.0, 1.0)],
+        list(seasons), f"{window}",
+        [*plans.list_assumed(base, kinds), *_remark(reference, volume, compared)],
+        [f"{record.source}: {contents}", *notes, *list_notes(seasons, base), *left_out],
+        priced, knee,
     )
 
 
 def _simulate(
-    designs: Sequence[tuple[Site, Mapping[str, Any], float]], seasons: Sequence[Run],
-    prices: Prices | None, jobs: int, progress: Callable[[float], None],
-) -> list[Results]:
-    """Simulate designs in seasons, and return the results of each design.
+    designs: Mapping[Design, tuple[Site, Mapping[str, Any]]], seasons: Mapping[str, Run],
+    filled: float, prices: Prices | None, jobs: int, progress: Callable[[float], None],
+) -> polars.DataFrame:
+    """Simulate designs in seasons, and return a row for each design and season.
 
     Args:
-        designs: site, parameters and initial volume in the cistern (m3) of each design.
-        seasons: the seasons, for sites with the ticks of the designs.
+        designs: site and parameters of each design.
+        seasons: the seasons by name, for sites with the ticks of the designs.
+        filled: share of the cistern that is full at the start.
         prices: prices of water and cistern; None without costs.
         jobs: number of threads.
         progress: callback that receives the share that is done.
     """
-    if not designs:
-        return []
     made, _ = simulate_season([
-        Case(site, parameters, season, volume, site.x2_star, with_forecast=False)
-        for site, parameters, volume in designs for season in seasons
+        Case(site, parameters, season, filled * design.volume, site.x2_star, with_forecast=False)
+        for design, (site, parameters) in designs.items() for season in seasons.values()
     ], progress=progress, threads=jobs)
-    of_designs = []
-    for number, (site, *_) in enumerate(designs):
-        runs = [own for (own, *_), _ in made[number * len(seasons) : (number + 1) * len(seasons)]]
-        results: Results = {
-            metric.name: np.array([run.get(metric.name, np.nan) for run in runs])
-            for metric in METRICS
-        }
-        rain, wet = results["rain_m3"], results["wet_discharge_m3"]
-        results[KEPT] = 1 - wet / np.where(rain > 0, rain, np.nan)
-        results[LOST] = 1 - results["evapotranspiration_ratio"]
+    rows = []
+    for (design, season), ((results, *_), _) in zip(product(designs, seasons), made, strict=True):
+        row: dict[str, Any] = {each.name: results.get(each.name) for each in METRICS}
+        rain, wet, mains = row["rain_m3"], row["wet_discharge_m3"], row["mains_m3"]
+        row |= {KEPT: 1 - wet / rain if rain else None, LOST: 1 - row["evapotranspiration_ratio"]}
         if prices is not None:
-            cistern = prices.yearly_cistern_price * site.a1 * site.z_o
-            results[COST] = cistern + prices.cost_water(results["mains_m3"], wet)
-        of_designs.append(results)
-    return of_designs
+            cistern = prices.yearly_cistern_price * design.volume
+            row[COST] = cistern + float(prices.cost_water(mains, wet))
+        rows.append({**design.columns, "season": season, **row})
+    return make_frame(rows, infer_schema_length=None)
 
 
-def _remark(results: Results, volume: float, compared: Sequence[float]) -> list[str]:
+def _remark(rows: polars.DataFrame, volume: float, compared: Sequence[float]) -> list[str]:
     """Return remarks on the recommended cistern (m3) and on the drainage of the roof."""
     remarks = [
         f"The recommended cistern is the {size} of those compared: {other} cisterns are worth "
@@ -194,7 +208,7 @@ def _remark(results: Results, volume: float, compared: Sequence[float]) -> list[
             ("smallest", "smaller", compared[0]), ("largest", "larger", compared[-1]),
         ) if volume == end and len(compared) > 1
     ]
-    drained, fallen = (results[name].mean() for name in ("drainage_m3", "rain_roof_m3"))
+    drained, fallen = rows.select("drainage_m3", "rain_roof_m3").mean().row(0)
     if drained > fallen:
         remarks.append(
             f"More water drains from the roof ({drained:.3g} m³ in a season) than rain falls on it "

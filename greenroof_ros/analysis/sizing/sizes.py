@@ -1,45 +1,56 @@
-"""The result of a sizing: all designs with their results, the recommendation, and its files."""
+"""The results of a sizing: a recommendation, tables, a chart and a page."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
-import numpy as np
-
-from greenroof_ros.analysis.assumptions import Assumption
+from greenroof_ros.analysis.assumptions import End
+from greenroof_ros.analysis.seasons import find_ranges
 from greenroof_ros.analysis.sizing.choice import Prices
 from greenroof_ros.analysis.sizing.designs import Design
-from greenroof_ros.analysis.sizing.results import (
-    KEPT,
-    PAGE,
-    SHOWN,
-    TABLE,
-    Results,
-    find_spread,
-)
-from greenroof_ros.analysis.tables import Column, format_range
+from greenroof_ros.analysis.tables import COLUMNS, Column, format_number, format_share, write_range
 from greenroof_ros.base.errors import require_extra
 from greenroof_ros.base.text import number_of
-from greenroof_ros.results.forked_polars import make_frame
-from greenroof_ros.results.table import format_csv
 from greenroof_ros.site.site import Site
 
 if TYPE_CHECKING:
     import altair
     import polars
 
+PAGE, TABLE = "sizes.html", "sizes.csv"
+BY_DESIGN = ["volume_m3", "target_mm", "outlet"]
+"""columns that identify a design"""
+
+KEPT, LOST, COST = "storm_water_kept_share", "evapotranspiration_lost_share", "cost"
+"""Results besides the metrics: the share of the rain on roof and catchment that does not reach the
+sewer in wet weather; the share of the potential evapotranspiration that is lost for lack of water;
+and the cost of a season's water, with a year's share of the cistern."""
+
+SHOWN = {
+    "demand_met_share": COLUMNS["demand_met_share"],
+    "mains_m3": COLUMNS["mains_m3"],
+    KEPT: Column("rain kept out of the sewer in wet weather", "%", format_share),
+    "wet_discharge_m3": COLUMNS["wet_discharge_m3"],
+    "discharge_m3": COLUMNS["discharge_m3"],
+    "retention_share": COLUMNS["retention_share"],
+    "overflow_days": COLUMNS["overflow_days"],
+    LOST: Column("lost evapotranspiration", "%", format_share),
+    "stress_hours": COLUMNS["stress_hours"],
+    COST: Column("cost of a season", "in the currency of the prices", format_number),
+}
+"""the results that are printed and drawn, by name"""
+
+
 class Tested(NamedTuple):
     """What the recommended design gives if an assumption is at one end of its range."""
 
-    assumption: Assumption
-    value: float
-    """value of the assumption"""
-    results: Results
-    """results of the recommended design"""
+    end: End
+    rows: polars.DataFrame
+    """results of the recommended design in each season"""
     best: float
     """the cistern that would be recommended (m3)"""
 
@@ -50,8 +61,10 @@ class Sizes:
 
     Attributes:
         site: the site that all designs share.
-        results: results of every design: first of those that compare targets, then of those that
-            compare cisterns with the recommended target.
+        table_of_seasons: results, with a row for each design and season. The columns are named as
+            in ``summary.json``, besides those of :data:`KEPT`, :data:`LOST` and :data:`COST`. First
+            come the designs that compare targets, then those that compare cisterns with the
+            recommended target.
         recommended: the recommended design.
         tested: the recommended design at both ends of each assumption.
         starts: results of the recommended design for seasons that begin with an empty and with a
@@ -66,10 +79,10 @@ class Sizes:
     """
 
     site: Site
-    results: Mapping[Design, Results]
+    table_of_seasons: polars.DataFrame
     recommended: Design
     tested: Sequence[Tested]
-    starts: tuple[Results, Results]
+    starts: Sequence[polars.DataFrame]
     seasons: Sequence[str]
     window: str
     notes: Sequence[str]
@@ -79,101 +92,39 @@ class Sizes:
 
     def __repr__(self) -> str:
         """Return the number of designs and seasons as text."""
-        designs, seasons = len(self.results), len(self.seasons)
+        designs, seasons = len(self.table), len(self.seasons)
         return f"<Sizes: {number_of(designs, 'design')}, {number_of(seasons, 'season')}>"
 
     @property
-    def columns(self) -> dict[str, Column]:
-        """Results that are printed and drawn; costs are included only if prices are given."""
-        shown = self.results[self.recommended]
-        return {name: column for name, column in SHOWN.items() if name in shown}
+    def table(self) -> polars.DataFrame:
+        """The mean, lowest and highest value of each result over the seasons, by design.
 
-    def format(self, name: str, design: Design | None = None) -> str:
-        """Return a result of a design, by default the recommended one, with its range, as text."""
-        return format_range(
-            *find_spread(self.results[design or self.recommended][name]), SHOWN[name]
-        )
-
-    def select(self, **same: float | str) -> list[Design]:
-        """Return the designs with the given attributes, in ascending order."""
-        return sorted(
-            design for design in self.results if design._asdict() | same == design._asdict()
-        )
-
-    def select_volumes(self) -> dict[str, list[Design]]:
-        """Return the designs that compare cisterns by outlet, beginning with the recommended."""
-        own, outlets = self.recommended, dict.fromkeys(design.outlet for design in self.results)
-        return {
-            outlet: self.select(target=own.target, outlet=outlet)
-            for outlet in sorted(outlets, key=lambda each: each != own.outlet)
-        }
-
-    def select_targets(self) -> list[Design]:
-        """Return the designs that compare targets, by target."""
-        first = next(iter(self.results))
-        return self.select(volume=first.volume, outlet=first.outlet)
+        The columns of the lowest and the highest value end in ``_min`` and ``_max``.
+        """
+        return find_ranges(self.table_of_seasons, BY_DESIGN)
 
     @property
     def sentence(self) -> str:
         """The recommendation, and what it brings in a season."""
         own = self.recommended
-        shares = self.results[own]
-        watered = "" if np.isnan(shares["demand_met_share"]).all() else (
-            f"{self.format('demand_met_share')} % of the irrigation is rain, "
-            f"{self.format('mains_m3')} m³ is mains water, and "
+        (row,) = self.table.filter(**own.columns).to_dicts()
+        text = {
+            name: write_range(row, name, column) for name, column in SHOWN.items() if name in row
+        }
+        watered = "" if row["demand_met_share"] is None else (
+            f"{text['demand_met_share']} % of the irrigation is rain, {text['mains_m3']} m³ is "
+            "mains water, and "
         )
-        kept = "" if np.isnan(shares[KEPT]).all() else (
-            f", {self.format(KEPT)} % less than the rain on the roofs"
+        kept = "" if row[KEPT] is None else (
+            f", {text[KEPT]} % less than the rain on the roofs"
         )
         return (
             f"A cistern of {own.volume:g} m³ ({own.described_outlet}) and a target of "
             f"{own.target:g} mm of water on the roof are recommended. In a season, {watered}"
-            f"{self.format('wet_discharge_m3')} m³ reaches the sewer in wet weather{kept}. In all "
-            f"weather, {self.format('discharge_m3')} m³ reaches the sewer, a retention of "
-            f"{self.format('retention_share')} %."
+            f"{text['wet_discharge_m3']} m³ reaches the sewer in wet weather{kept}. In all "
+            f"weather, {text['discharge_m3']} m³ reaches the sewer, a retention of "
+            f"{text['retention_share']} %."
         )
-
-    # --- tables and files -------------------------------------------------------------------------
-
-    @property
-    def table(self) -> polars.DataFrame:
-        """Results, with one row per design: the mean, lowest and highest value over the seasons.
-
-        The columns are named as in ``summary.json``, with ``_min`` and ``_max`` added for the
-        lowest and the highest season, besides those of :data:`KEPT`, :data:`LOST` and :data:`COST`.
-
-        Raises:
-            ConfigurationError: if polars is not installed.
-        """
-        ends = ("", "_min", "_max")
-        return make_frame([
-            {
-                **_name(design),
-                **{
-                    f"{name}{end}": value for name, values in results.items()
-                    for end, value in zip(ends, find_spread(values), strict=True)
-                },
-            } for design, results in self.results.items()
-        ])
-
-    @property
-    def table_of_seasons(self) -> polars.DataFrame:
-        """Results of every season, with one row per design and season; see :attr:`table`.
-
-        Raises:
-            ConfigurationError: if polars is not installed.
-        """
-        return make_frame(self._rows())
-
-    def _rows(self) -> list[dict[str, Any]]:
-        return [
-            {
-                **_name(design), "season": season,
-                **{name: float(values[place]) for name, values in results.items()},
-            }
-            for design, results in self.results.items()
-            for place, season in enumerate(self.seasons)
-        ]
 
     def plot(self) -> altair.ConcatChart:
         """Return a chart of the results against the cistern's volume, with a line per outlet.
@@ -206,15 +157,3 @@ class Sizes:
             from greenroof_ros.analysis.sizing.page import write_page
         claim_output(Path(directory), PAGE, [TABLE])
         return write_page(self, Path(directory))
-
-    def to_csv(self) -> str:
-        """Return all results of all seasons as CSV, with the assumptions as comments."""
-        rows = self._rows()
-        remarks = "".join(f"# {note}\n" for note in (*self.notes, *self.read))
-        return remarks + format_csv(rows[0], (
-            {name: "" if value != value else value for name, value in row.items()} for row in rows
-        ))
-
-
-def _name(design: Design) -> dict[str, Any]:
-    return {"volume_m3": design.volume, "target_mm": design.target, "outlet": design.outlet}

@@ -1,4 +1,4 @@
-"""The workers of a study, processes and a Dask cluster: the same table, and their ends."""
+"""The workers of a study, processes or an executor: the same table, and their ends."""
 
 from __future__ import annotations
 
@@ -14,7 +14,6 @@ from pathlib import Path
 
 import polars
 import pytest
-from dask_cluster import Dask
 from graphs import alive, wait_for
 from places import CHECKOUT, DATA
 from refusals import refusal
@@ -27,11 +26,13 @@ from studies import (
     edit_grid,
     grid,
     rows_of,
+    store_of,
     stored,
     study,
 )
 
 import greenroof_ros as gr
+from greenroof_ros.analysis.study import run_study
 
 
 def children(process: int) -> Iterator[int]:
@@ -186,23 +187,28 @@ sensor_and_pump:
 """
 
 
-def test_processes_and_dask_give_the_same_table(dask: Dask, tmp_path: Path) -> None:
-    """Digit for digit, with its trajectories; weather and forecasts are sent once, not by case."""
+def test_processes_and_a_cluster_give_the_same_table(tmp_path: Path) -> None:
+    """Digit for digit, with trajectories and bounds; the workers of Dask get the input files."""
+    distributed = pytest.importorskip("distributed")
     archive(tmp_path)
     shutil.copy(WEATHER, tmp_path / "weather.csv")
     grid(tmp_path, BY_BOTH)
-    dask.start_worker()
-    for output, options in (("here", []), ("there", ["--scheduler", dask.address])):
-        result = study(tmp_path, "grid.yaml", "--output", output, *options)
-        assert result.returncode == 0, result.stderr
-    here, there = tmp_path / "here", tmp_path / "there"
-    results = {file.relative_to(here) for file in here.glob("runs/*/*.parquet")} | {
+    here, there = (store_of(tmp_path, output=name) for name in ("here", "there"))
+    run_study(here)
+    here.write_table()
+    with (
+        distributed.LocalCluster(n_workers=1, host="127.0.0.1", dashboard_address=None) as cluster,
+        distributed.Client(cluster) as client,
+    ):
+        run_study(there, executor=client.get_executor(pure=False))
+    there.write_table()
+    results = {file.relative_to(here.directory) for file in here.directory.glob("runs/*/*.p*")} | {
         Path("results.csv"), Path("bounds.json")
     }
     assert len(results) == 8
     for name in results:
-        assert (here / name).read_bytes() == (there / name).read_bytes()
-    rows = rows_of(here / "results.csv")
+        assert (here.directory / name).read_bytes() == (there.directory / name).read_bytes()
+    rows = rows_of(here.directory / "results.csv")
     assert len({row["final_roof_m3"] for row in rows}) == 5  # lookahead waits for rain in both
 
 
@@ -221,60 +227,6 @@ def test_forecasts(tmp_path: Path) -> None:
     file.write_text(file.read_text().replace("4.0", "5.0"))
     after = [case.identity for case in cases_of(tmp_path / "grid.yaml")]
     assert [a == b for a, b in zip(before, after, strict=True)] == [True, True, False]
-
-
-def test_dask(dask: Dask, tmp_path: Path) -> None:
-    """A study loses a worker, is interrupted, and loses the scheduler.
-
-    The second worker continues. Without a scheduler the study reports this in one sentence. Without
-    a worker or an answer it does not begin.
-    """
-    text = edit_grid("0.25", "0.5").replace("02:00", "01:00").replace("  onoff:\n", "")
-    text = text.replace("[1.0e-3, 0.1]", "[1.0e-3, 0.01, 0.1]")
-    grid(tmp_path, f"{text}bound_block: 0\n")
-    on_cluster = ("--scheduler", dask.address)
-
-    def wait_for_runs(process: subprocess.Popen[str], count: int) -> None:
-        due = len(stored(tmp_path)) + count
-
-        def under_way() -> bool:
-            assert process.poll() is None, process.communicate()
-            return len(stored(tmp_path)) >= due
-
-        wait_for(under_way, 120, f"{count} runs more")
-
-    def check_refusal(wrong: str) -> None:
-        result = study(tmp_path, "grid.yaml", "--output", "out", *on_cluster)
-        assert result.returncode == 2
-        assert f"error: --scheduler = '{dask.address}': {wrong}" in result.stderr
-        assert "Traceback" not in result.stderr
-
-    check_refusal("does not answer or has no worker")
-    dask.start_worker()
-    dask.start_worker()
-    process = begun(tmp_path, *on_cluster)
-    wait_for_runs(process, 2)
-    dask.workers[0].kill()
-    dask.wait_for_log("Remove worker")
-    wait_for_runs(process, 2)
-    process.send_signal(signal.SIGINT)
-    _, errors = process.communicate(timeout=300)
-    assert process.returncode == 130
-    assert errors.splitlines()[-1].startswith("interrupted by SIGINT: ")
-    process = begun(tmp_path, *on_cluster)
-    wait_for_runs(process, 1)
-    dask.scheduler.kill()
-    shown, errors = process.communicate(timeout=300)
-    done = len(stored(tmp_path))
-    assert "Traceback" not in errors
-    last = errors.splitlines()[-1]
-    assert last.startswith("error: a worker was killed, or the connection to it was lost")
-    assert f"{done} of 12 cases are stored" in last
-    assert (process.returncode, shown) == (1, "")
-    status = [row["status"] for row in rows_of(tmp_path / "out" / "results.csv")]
-    assert sorted(status) == ["done"] * done + ["not run"] * (12 - done)
-    dask.scheduler.wait()
-    check_refusal("does not answer or has no worker")
 
 
 def test_without_numba_the_study_says_what_to_install(
