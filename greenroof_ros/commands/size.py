@@ -24,8 +24,8 @@ from pathlib import Path
 
 from greenroof_ros.analysis.sizing.choice import KNEE
 from greenroof_ros.analysis.sizing.designs import OUTLETS, TARGETS, VOLUMES
+from greenroof_ros.analysis.sizing.results import PAGE, TABLE
 from greenroof_ros.analysis.sizing.run import KNEE_RANGE, PRICES, size
-from greenroof_ros.analysis.sizing.sizes import PAGE, TABLE
 from greenroof_ros.base.command_line import (
     Parser,
     add_option,

@@ -12,11 +12,13 @@ from greenroof_ros.analysis.figures import Figure, Panel, distinguish_series
 from greenroof_ros.analysis.page import Section, make_page, write_output
 from greenroof_ros.analysis.seasons import find_ranges
 from greenroof_ros.analysis.sizing.choice import MAX_LOST
-from greenroof_ros.analysis.sizing.sizes import BY_DESIGN, KEPT, LOST, PAGE, SHOWN, TABLE, Sizes
+from greenroof_ros.analysis.sizing.results import BY_DESIGN, KEPT, LOST, PAGE, SHOWN, TABLE
 from greenroof_ros.analysis.tables import Table, write_range
 
 if TYPE_CHECKING:
     import polars
+
+    from greenroof_ros.analysis.sizing.sizes import Sizes
 
 _TITLE = "Which cistern for the green roof?"
 _VARIED = {"volume": ("volume_m3", "cistern (m³)"), "target": ("target_mm", "target (mm)")}

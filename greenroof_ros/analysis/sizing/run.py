@@ -12,7 +12,8 @@ from greenroof_ros.analysis.seasons import find_ranges, find_seasons, list_notes
 from greenroof_ros.analysis.sizing import designs as plans
 from greenroof_ros.analysis.sizing.choice import KNEE, Prices, choose_volume, find_target
 from greenroof_ros.analysis.sizing.designs import Design
-from greenroof_ros.analysis.sizing.sizes import BY_DESIGN, COST, KEPT, LOST, Sizes, Tested
+from greenroof_ros.analysis.sizing.results import BY_DESIGN, COST, KEPT, LOST
+from greenroof_ros.analysis.sizing.sizes import Sizes, Tested
 from greenroof_ros.base.parameter import make_record, parameters_of
 from greenroof_ros.base.ranges import Range
 from greenroof_ros.controllers.registry import find_controller

@@ -146,7 +146,7 @@ def test_a_full_disk_is_named(tmp_path: Path, what: str) -> None:
     grid(tmp_path, edit_grid("hours: 0.25", "hours: 0.05"))
     store = store_of(tmp_path)
     full = {
-        "outcome": tmp_path / "out" / "runs" / f"{store.cases[0].identity}.part" / ".outcome.json.part",
+        "outcome": tmp_path / "out/runs" / f"{store.cases[0].identity}.part/.outcome.json.part",
         "bounds": tmp_path / "out" / ".bounds.json.part",
         "results": tmp_path / "out" / ".results.csv.part",
     }[what]
