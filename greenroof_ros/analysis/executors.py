@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import functools
 import logging
 import os
 import pickle
 import signal
 import tempfile
 import threading
-import zlib
 from collections.abc import Callable, Iterable, Iterator
 from concurrent import futures
 from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future
@@ -21,15 +19,10 @@ from uuid import uuid4
 
 from greenroof_ros.base.files import add_path_to_errors
 from greenroof_ros.base.processes import count_cores, scratch_directory
-from greenroof_ros.results.versions import versions
 
 # Longest time between two reports of progress (s).
 _REFRESH_S = 0.5
 _LOST = "a worker was killed, or the connection to it was lost; if memory ran out, reduce --jobs"
-
-_Packed = tuple[tuple[str, bytes], ...]
-"""names and compressed contents of files"""
-
 
 class WorkersLostError(BrokenExecutor):
     """Raised when the workers cannot continue; the message states what was lost."""
@@ -40,8 +33,6 @@ class Task(NamedTuple):
 
     function: Callable[..., Any]
     arguments: tuple[Any, ...]
-    files: tuple[str, ...]
-    """names of the input files that the function reads"""
     in_threads: bool = False
     """whether the call may run in a thread of this process, because its code is compiled"""
 
@@ -57,8 +48,8 @@ def run_tasks(
         tasks: the tasks, which begin in this order.
         directory: directory with the input files.
         receive: function that receives a task, its result, and the error that it raised, if any.
-        executor: executor that runs all tasks, on this machine or on others, to which the input
-            files are sent; None for threads and processes of this machine.
+        executor: executor that runs all tasks, on this machine or on others that see the same
+            directory; None for threads and processes of this machine.
         jobs: number of threads, and of processes; None for one per core.
         progress: function that receives the completed share of the tasks at least every half
             second; an error that it raises ends the work.
@@ -66,10 +57,6 @@ def run_tasks(
     Raises:
         WorkersLostError: if a process was killed, or if the executor was lost.
     """
-    @functools.cache
-    def pack(names: tuple[str, ...]) -> _Packed:
-        return tuple((name, zlib.compress((directory / name).read_bytes())) for name in names)
-
     pending = dict[Future[Any], Task]()
     with ExitStack() as stack:
         if executor is None:
@@ -79,11 +66,8 @@ def run_tasks(
             with _hold_interrupts():
                 for task in tasks:
                     call = task.function, task.arguments
-                    if executor is not None:
-                        sent = pack(task.files), {**versions()}
-                        future = executor.submit(_call_elsewhere, *sent, *call)
-                    elif task.in_threads:
-                        future = threads.submit(task.function, directory, *task.arguments)
+                    if executor is not None or task.in_threads:
+                        future = (executor or threads).submit(call[0], directory, *call[1])
                     else:
                         future = processes.submit(_call_to_file, directory, results, *call)
                     pending[future] = task
@@ -112,27 +96,6 @@ def run_tasks(
             for future, task in pending.items():
                 if executor is not None or task.in_threads:
                     future.cancel()
-
-
-def _call_elsewhere(
-    files: _Packed, theirs: dict[str, str], function: Callable[..., Any], arguments: tuple[Any, ...]
-) -> Any:
-    """Call a function in a worker that may be on another machine, with the versions of this one."""
-    for package, version in theirs.items():
-        if (own := versions().get(package, "missing")) != version:
-            raise WorkersLostError(
-                f"a worker has {package} {own} instead of {version}; install the same version"
-            )
-    made = _unpack(files)  # it exists as long as something refers to it
-    return function(Path(made.name), *arguments)
-
-
-@functools.lru_cache(4)  # tasks with the same files follow each other
-def _unpack(files: _Packed) -> tempfile.TemporaryDirectory[str]:
-    made = tempfile.TemporaryDirectory()
-    for name, content in files:
-        Path(made.name, name).write_bytes(zlib.decompress(content))
-    return made
 
 
 def _call_to_file(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -141,9 +140,10 @@ class Figure:
 
 
 def distinguish_series(name: str, values: list[str]) -> dict[str, Any]:
-    """Distinguish the series of a field by colour and dash pattern; see :func:`cycle_choices`.
+    """Distinguish the series of a field by colour and dash pattern.
 
-    Without series there is no legend, because the size of an empty legend is NaN in Vega.
+    Vega repeats them if there are too few. Without series there is no legend, because the size of
+    an empty legend is NaN in Vega.
     """
     legend = alt.Legend(symbolSize=600, symbolType="stroke")
     channels = {"color": (alt.Color, COLOURS), "strokeDash": (alt.StrokeDash, _DASHES)}
@@ -151,7 +151,7 @@ def distinguish_series(name: str, values: list[str]) -> dict[str, Any]:
 
 
 def distinguish_points(name: str, values: list[str]) -> dict[str, Any]:
-    """Distinguish the points of a field by colour and shape; see :func:`cycle_choices`."""
+    """Distinguish the points of a field by colour and shape."""
     channels = {"color": (alt.Color, COLOURS), "shape": (alt.Shape, _SHAPES)}
     return _distinguish(name, values, channels, alt.Legend(symbolSize=60))
 
@@ -161,17 +161,11 @@ def _distinguish(
 ) -> dict[str, Any]:
     return {
         key: channel(
-            f"{name}:N", title=None, scale=cycle_choices(choices, values),
+            f"{name}:N", title=None, scale=alt.Scale(domain=values, range=[*choices]),
             legend=legend if values else None,
         )
         for key, (channel, choices) in channels.items()
     }
-
-
-def cycle_choices(choices: Sequence[Any], values: Sequence[str]) -> alt.Scale:
-    """Return a scale that maps values to choices, which are reused if there are too few."""
-    chosen = dict(zip(values, itertools.cycle(choices)))
-    return alt.Scale(domain=list(chosen), range=list(chosen.values()))
 
 
 def round_value(value: float | None) -> float | None:

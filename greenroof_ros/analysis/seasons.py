@@ -123,12 +123,9 @@ def _find_reason(
     end = start + timedelta(window.days)
     if end <= weather.first or weather.end <= start:
         return ""
-    if start < weather.first:
-        return f"the record begins at {to_minutes(weather.first)}"
-    if weather.end < end:
-        return f"the record ends at {to_minutes(weather.end)}"
-    reason = error.expected.partition("; ")[0]
-    return f"its start {reason}" if error.key == "start" else reason
+    if start < weather.first or weather.end < end:
+        return f"the record is from {to_minutes(weather.first)} to {to_minutes(weather.end)}"
+    return f"{error.key or ''} {error.expected}".strip().partition("; ")[0]
 
 
 def list_notes(runs: Mapping[str, Run], site: Site) -> list[str]:

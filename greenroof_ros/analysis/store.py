@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 from collections.abc import Mapping, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any
 
@@ -57,19 +57,16 @@ class StudyStore:
 
         Raises:
             ConfigurationError: if the directory contains other files, or a study with other cases,
-                trajectories or code; if it cannot be written to; if another process is using it; or
-                if an outcome exists but cannot be read, for instance on a network drive. An outcome
-                that cannot be read is kept.
+                trajectories or code, or if another process is using it.
+            OSError: if the directory cannot be written to, or if an outcome exists but cannot be
+                read, for instance on a network drive; the outcome is kept.
         """
         self.directory, self.inputs = directory, directory / "configuration"
         self.cases, self.trajectory_every, self.show = cases, trajectory_every, show
         self._held = ExitStack()  # the lock, for as long as this object exists
         self._runs, self._bounds = directory / "runs", directory / "bounds.json"
         self._names = dict(zip((case.identity for case in cases), name_cases(cases), strict=True))
-        try:
-            self._open(contents)
-        except OSError as error:
-            raise self._refuse(f"cannot be read or written: {error.strerror}") from error
+        self._open(contents)
         self.failures: dict[str, str] = {}
         outcomes = {case.identity: _read(self._runs / case.identity / _OUTCOME) for case in cases}
         self.results = {name: results for name, results in outcomes.items() if results}
@@ -173,13 +170,8 @@ def _read(file: Path) -> dict[str, Any]:
     """Return the content of a JSON file; empty if it is missing, or was cut short by a power cut.
 
     Raises:
-        ConfigurationError: if the file exists but cannot be read.
+        OSError: if the file exists but cannot be read.
     """
-    try:
+    with suppress(FileNotFoundError, ValueError):
         return {**json.loads(file.read_text(encoding="utf-8"))}
-    except (FileNotFoundError, ValueError):
-        return {}
-    except OSError as error:
-        raise ConfigurationError(
-            f"cannot be read: {error.strerror}; the study is unchanged", file=file
-        ) from error
+    return {}

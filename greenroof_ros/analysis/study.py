@@ -172,7 +172,8 @@ def study(
             frame with a row for each run. A controller is a name, ``package.module:Class`` or a
             class. Equal cases are simulated once.
         executor: executor that runs everything instead, such as one of ``concurrent.futures``, or
-            ``get_executor()`` of a ``dask.distributed.Client`` for the workers of a cluster.
+            ``get_executor()`` of a ``dask.distributed.Client`` for the workers of a cluster, which
+            must see the directory ``output``.
         output: directory for the results as of ``greenroof study``, which ``greenroof report``
             reads. If it contains an interrupted study of the same cases, the study is continued.
         bound_block: duration for which one variable of the minimum possible deviation applies (s),
@@ -249,7 +250,7 @@ def run_study(
         WorkersLostError: if the workers were lost.
     """
     tasks = {
-        identity: Task(function, (case,), (*case.files,))
+        identity: Task(function, (case,))
         for case in store.cases for identity, function in case.bounds.items()
         if identity not in store.bounds
     }
@@ -260,7 +261,7 @@ def run_study(
     )):
         if case.identity not in store.results:
             tasks[f"run {case.identity}"] = Task(
-                run_case, (case, store.trajectory_every), (*case.files,), case.is_compiled
+                run_case, (case, store.trajectory_every), case.is_compiled
             )
     identities = {id(task): identity for identity, task in tasks.items()}
     note_if_slow(sum(

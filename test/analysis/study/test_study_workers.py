@@ -187,7 +187,7 @@ sensor_and_pump:
 
 
 def test_processes_and_a_cluster_give_the_same_table(tmp_path: Path) -> None:
-    """Digit for digit, with trajectories and bounds; the workers of Dask get the input files."""
+    """Digit for digit, with trajectories and bounds, by workers of Dask that see the directory."""
     distributed = pytest.importorskip("distributed")
     archive(tmp_path)
     shutil.copy(WEATHER, tmp_path / "weather.csv")
