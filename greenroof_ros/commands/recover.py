@@ -39,8 +39,9 @@ def recover(directory: Path, output: Path | None = None) -> tuple[Path, int, lis
         The new bag, its number of messages, and what was lost, one sentence each.
 
     Raises:
-        ConfigurationError: if there is no bag, if the bag contains no intact chunk, or if the
-            output exists or cannot be written.
+        ConfigurationError: if there is no bag, if the bag contains no intact chunk, or if there is
+            no room for the new bag.
+        OSError: if the new bag exists, or cannot be created.
     """
     bag = directory / "bag" if (directory / "bag").is_dir() else directory
     files, target, losses = find_files(bag), output or name_recovered_bag(bag), list[str]()
@@ -48,11 +49,9 @@ def recover(directory: Path, output: Path | None = None) -> tuple[Path, int, lis
         raise ConfigurationError(
             "must be a run directory or a bag, but contains no .mcap file", file=directory
         )
-    if target.exists():
-        raise ConfigurationError("already exists; nothing was written", file=target)
     counts = dict.fromkeys((file.name for file in files), 0)
+    target.mkdir(parents=True)
     try:
-        target.mkdir(parents=True)
         for file in files:
             copy = name_next_file(target)
             counts[file.name], lost = _copy_file(file, copy)

@@ -99,8 +99,7 @@ _parse_duration.__name__ = "TIME"
 def _add_duration(parser: Parser, *, required: bool) -> None:
     parser.add_argument(
         "--for", dest="seconds", type=_parse_duration, required=required, metavar="TIME",
-        help="length, such as 30min, 48h, 2d or 48 (hours)" + ("" if required else "; no end if "
-        "omitted"),
+        help="length, such as 30min, 48h, 2d or 48 (hours)",
     )
 
 

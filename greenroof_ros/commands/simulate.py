@@ -100,15 +100,11 @@ def main() -> None:
 
 def _write_trajectory(run: Run, trajectory: Trajectory, file: Path) -> None:
     columns = columns_of(run.site)
-    levels = {
-        "cistern_level": trajectory.cistern / run.site.a1,
+    known = {
+        **vars(trajectory), "cistern_level": trajectory.cistern / run.site.a1,
         "roof_level": trajectory.roof / run.site.a2,
     }
-    values = [trajectory.time, *(
-        levels[each.tick] if each.tick in levels else getattr(
-            trajectory, each.attribute or each.tick
-        ) for each in columns
-    )]
+    values = [trajectory.time, *(known[each.attribute or each.tick] for each in columns)]
     with add_path_to_errors(file), file.open("x", newline="") as stream:
         rows = csv.writer(stream)
         rows.writerow(("time", "time_s", *(column.name for column in columns)))

@@ -121,12 +121,6 @@ def main() -> None:
     signals = Signals()
     with suppress(InterruptedRun), Feed(store, find_past_file(arguments.namespace)) as feed:
         if token:
-            print_lines("note", [
-                "anyone who has the address, including its token, can view the page, stop the pump "
-                "and close the outlet valve" + release * (
-                    ", release the pump, open the outlet valve, and request a dose if the site "
-                    "file allows doses"
-                )
-            ])
+            print_lines("note", ["anyone who has the address can do what the page allows"])
         print(listener.url + (f"#token={token}" if token else ""), flush=True)
         PageServer(store, feed, listener, token or None).serve(signals)

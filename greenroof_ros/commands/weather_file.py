@@ -46,9 +46,6 @@ from greenroof_ros.weather.summary import as_lines, summarize
 # Gaps that are named.
 _MAX_NAMED = 3
 
-Row = tuple[str, str, str]
-"""a label, a value and a description"""
-
 
 def make_parser() -> Parser:
     """Return the command's parser."""
@@ -97,7 +94,8 @@ def show_records(measured: Records, site: Site) -> None:
     PlainConsole().print(grid("Weather", _describe(measured, site)))
 
 
-def _describe(measured: Records, site: Site) -> Iterator[Row]:
+def _describe(measured: Records, site: Site) -> Iterator[tuple[str, str, str]]:
+    """Yield rows: a label, a value and a description."""
     try:
         weather, unknown = complete_records(measured, site), ""
     except ConfigurationError as error:
@@ -118,7 +116,7 @@ def _describe(measured: Records, site: Site) -> Iterator[Row]:
     for name, series in measured.values.items():
         missing = np.isnan(series)
         if spans := name_hours(measured.first, missing):
-            more = f", and {len(spans) - _MAX_NAMED} more" if len(spans) > _MAX_NAMED else ""
+            more = ", ..." * (len(spans) > _MAX_NAMED)
             yield f"no {name}", f"{missing.sum()} h", ", ".join(spans[:_MAX_NAMED]) + more
     known = weather.evapotranspiration[~np.isnan(weather.evapotranspiration)]
     if known.size:
@@ -129,7 +127,7 @@ def _describe(measured: Records, site: Site) -> Iterator[Row]:
     yield from _average_months(weather, site)
 
 
-def _average_months(weather: Weather, site: Site) -> Iterator[Row]:
+def _average_months(weather: Weather, site: Site) -> Iterator[tuple[str, str, str]]:
     """Yield the monthly means for reference grass, as in a site file, if all of them are known."""
     first = np.datetime64(weather.first.replace(tzinfo=None), "h")
     months = (first + np.arange(weather.hours)).astype("datetime64[M]").astype(int) % 12

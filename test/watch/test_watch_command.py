@@ -106,8 +106,8 @@ def test_beyond_loopback_and_to_release_it_needs_its_token(domain: int, tmp_path
     """
     (port,), file, tokens = free_ports(1), tmp_path / "token", []
     for options, warning in (
-        (("--host", "0.0.0.0", "--token-file", file.name), "can view the page, stop"),
-        (("--allow-release",), "release the pump"), (("--token-file", file.name), ""),
+        (("--host", "0.0.0.0", "--token-file", file.name), "anyone who has the address"),
+        (("--allow-release",), "anyone who has the address"), (("--token-file", file.name), ""),
     ):
         process = Process(domain, "watch", *options, "--port", str(port), cwd=tmp_path)
         url = wait_for(process.stdout, 60, "an address")
