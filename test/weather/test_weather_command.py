@@ -84,17 +84,6 @@ def test_a_description_is_printed_and_completed_by_a_person(tmp_path: Path) -> N
     assert summary.startswith("rain 4.5 mm in 0.417 days from 2024-06-30 18:00-05:00")
 
 
-def test_names_of_columns_are_shown_as_they_are(tmp_path: Path) -> None:
-    """Neither markup nor an emoji nor a change of direction."""
-    names = {"x [/mm]": "x [/mm]", ":rain: \u202etsug": r":rain: \u202etsug"}
-    text = f"time,rain [mm],{','.join(names)}\n" + "".join(
-        f"2024-07-01T0{hour}:00Z,1,2,3\n" for hour in range(2)
-    )
-    (tmp_path / "gauge.csv").write_text(text, encoding="utf-8")
-    said = " ".join(row[2] for row in about(tmp_path, "gauge.csv"))
-    assert all(shown in said for shown in names.values())
-
-
 def test_monthly_means_are_those_of_a_site_file(tmp_path: Path) -> None:
     """Of reference grass, whatever grows on the roof; a shorter record has none."""
     hours = np.arange("2024-01-01", "2025-01-01", dtype="datetime64[h]")
