@@ -76,7 +76,7 @@ def test_an_interrupted_run_says_so(
 ) -> None:
     """Its summary has no results, but the last tick that was seen."""
     process = subprocess.Popen(
-        [sys.executable, "-m", "greenroof_ros", "simulate", "--hours", "500", "--controller", "mpc",
+        [sys.executable, "-m", "greenroof_ros", "simulate", "--hours", "60", "--controller", "mpc",
          "--output", "out"], cwd=tmp_path, env=environment(0), stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
     )
