@@ -16,7 +16,7 @@ from places import DATA
 
 # Commands that go on until they are ended, with what they need.
 LONG = {
-    "simulate": "--hours 60 --start 2021-07-07T02:00 --speed 1",
+    "simulate": "--hours 60 --start 2021-07-07T02:00",
     "run": "--hours 60 --start 2021-07-07T02:00 --speed 1 --no-record",
 }
 

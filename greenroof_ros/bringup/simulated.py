@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from functools import partial
 
-from greenroof_ros.base.command_line import Parser, command
+from greenroof_ros.base.command_line import Parser, command, make_number_type
 from greenroof_ros.bringup.start import bring_up
 from greenroof_ros.controllers.registry import EXTERNAL
 from greenroof_ros.ros.arguments import add_graph_arguments
@@ -28,6 +28,11 @@ def make_parser() -> Parser:
     )
     add_run_arguments(parser)
     output = add_output_arguments(parser)
+    output.add_argument(
+        "--speed", type=make_number_type(1e-9, 1e9, word="max"), default=0.0,
+        metavar="{max|FACTOR}",
+        help="set the ratio of simulated time to wall-clock time; 1 is real time (default: max)",
+    )
     output.add_argument("--no-record", action="store_true", help="do not write a bag")
     add_graph_arguments(parser, "internal")
     return parser

@@ -6,7 +6,6 @@ of mains water and for the irrigation under on/off control.
 
 Examples:
   greenroof bound --start 2021-07-08T05:00
-  greenroof bound --block 1 --hours 2 --max-command 0.1
   greenroof bound --of discharge --site my_site.yaml
 
 Exit codes: 0 done, 1 no bound found, 2 bad usage or configuration
@@ -16,11 +15,11 @@ from __future__ import annotations
 
 from typing import Any
 
-from greenroof_ros.base.command_line import Parser, command, make_number_type
+from greenroof_ros.base.command_line import Parser, command
 from greenroof_ros.simulation.bound import BLOCK_S, bound_discharge, clairvoyant_bound
 from greenroof_ros.simulation.loop import simulate
 from greenroof_ros.simulation.options import add_site_arguments, build_run
-from greenroof_ros.simulation.run import Run, count_ticks
+from greenroof_ros.simulation.run import Run
 from greenroof_ros.simulation.screen import setting_rows, show
 from greenroof_ros.simulation.summary import describe_setting
 
@@ -37,15 +36,6 @@ def make_parser() -> Parser:
         "--of", choices=("deviation", "discharge"), default="deviation",
         help="quantity to bound (default: %(default)s)",
     )
-    group.add_argument(
-        "--block", type=make_number_type(1e-9, 1e9), metavar="S",
-        help="length of the blocks of ticks that share one variable (s): shorter blocks are slower "
-        f"but tighter, and those of one tick exact (default: {BLOCK_S:g}, or one tick if longer)",
-    )
-    group.add_argument(
-        "--max-command", type=make_number_type(1e-9, 100.0), default=1.0, metavar="U",
-        help="maximum command, as a share of the maximum flow (default: %(default)g)",
-    )
     group.add_argument("--json", action="store_true", help="print JSON instead of a table")
     return parser
 
@@ -53,14 +43,10 @@ def make_parser() -> Parser:
 @command
 def main() -> None:
     """Compute the bound for the run that the command line describes."""
-    parser = make_parser()
-    arguments = parser.parse_args()
-    block, limit = arguments.block, arguments.max_command
-    discharge = arguments.of == "discharge"
-    if discharge and (block, limit) != (None, 1.0):
-        parser.error("--block and --max-command cannot be used with --of discharge")
+    arguments = make_parser().parse_args()
     run = build_run(arguments)
-    found, rows = _bound_discharge(run) if discharge else _bound_deviation(run, block, limit)
+    find = _bound_discharge if arguments.of == "discharge" else _bound_deviation
+    found, rows = find(run)
     result = {**found, **describe_setting(run)}
     title = f"Lower bound on the {arguments.of}"
     show(title, (*setting_rows(result), *rows), result, as_json=arguments.json)
@@ -85,15 +71,8 @@ def _bound_discharge(run: Run) -> Bound:
     ]
 
 
-def _bound_deviation(run: Run, block: float | None, limit: float) -> Bound:
-    """Find the minimum total deviation, given the length of a block (s) and the largest command."""
-    tau = run.site.tau
-    ticks = max(1, round(BLOCK_S / tau))
-    if block is not None:
-        ticks = count_ticks(run.site, block, "--block", unit_s=1.0)
-    bound = clairvoyant_bound(run, ticks * tau, limit)
-    return {"bound_m3": bound, "max_command": limit, "block_s": ticks * tau}, [
-        ("bound", f"{bound:.2f}", "m3, total deviation that no controller can beat with commands "
-         f"of at most {limit:g}"),
-        ("block", f"{ticks * tau:g} s", "length of the blocks of ticks with one variable"),
-    ]
+def _bound_deviation(run: Run) -> Bound:
+    """Find the minimum total deviation."""
+    bound = clairvoyant_bound(run, BLOCK_S)
+    about = "m3, total deviation that no controller can beat"
+    return {"bound_m3": bound}, [("bound", f"{bound:.2f}", about)]

@@ -17,11 +17,11 @@ from __future__ import annotations
 from datetime import datetime, timezone
 from pathlib import Path
 
-from greenroof_ros.base.command_line import Parser, add_site, command, make_number_type, refuse
+from greenroof_ros.base.command_line import Parser, add_site, command, refuse
 from greenroof_ros.base.text import escape
 from greenroof_ros.base.times import to_people
 from greenroof_ros.commands.fetch_weather import add_url
-from greenroof_ros.forecast.service import ATTRIBUTION, MAX_DAYS, ForecastFiles, Service
+from greenroof_ros.forecast.service import ATTRIBUTION, ForecastFiles, Service
 from greenroof_ros.site.file import read_site
 
 
@@ -36,10 +36,6 @@ def make_parser() -> Parser:
     parser.add_argument(
         "--model", default="", metavar="NAME",
         help="weather model, such as icon_seamless (default: the service's choice for the place)",
-    )
-    parser.add_argument(
-        "--days", type=make_number_type(1, MAX_DAYS, int), default=7, metavar="N",
-        help="request a forecast for this many days, starting today (default: %(default)s)",
     )
     add_url(parser, "https://customer-api.open-meteo.com/v1/forecast?apikey=KEY")
     parser.add_argument(
@@ -61,7 +57,7 @@ def main() -> None:
     refuse((output.suffix != ".csv", "--output", str(output), "must end in .csv"))
     service = Service(
         read_site(arguments.site), ensemble=arguments.ensemble, model=arguments.model,
-        days=arguments.days, url=arguments.url,
+        url=arguments.url,
     )
     files = ForecastFiles(output, arguments.keep)
     issue = service.fetch(datetime.now(timezone.utc))

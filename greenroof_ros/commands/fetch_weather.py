@@ -22,14 +22,12 @@ interrupted
 
 from __future__ import annotations
 
-import argparse
 import shutil
 from datetime import datetime, timezone
 from pathlib import Path
 
-from greenroof_ros.base.command_line import Parser, add_site, command, make_number_type, print_lines
+from greenroof_ros.base.command_line import Parser, add_site, command, make_number_type
 from greenroof_ros.base.files import replace_text
-from greenroof_ros.base.processes import Signals
 from greenroof_ros.base.progress import ProgressBar
 from greenroof_ros.base.text import escape
 from greenroof_ros.base.times import FIRST_YEAR
@@ -38,6 +36,8 @@ from greenroof_ros.commands.weather_file import show_records
 from greenroof_ros.site.file import read_site
 from greenroof_ros.weather.download import eccc_station, fetch, join_blocks, open_meteo_archive
 from greenroof_ros.weather.records import write_records
+
+_read_year = make_number_type(FIRST_YEAR, 9999, int)
 
 
 def make_parser() -> Parser:
@@ -58,11 +58,6 @@ def make_parser() -> Parser:
         "instead: its stationID, which is in the address of its page at climate.weather.gc.ca, "
         "such as 48549 for Toronto City Centre",
     )
-    parser.add_argument(
-        "--pause", type=make_number_type(0.01, 3600), metavar="S",
-        help="wait between requests (s), five times as long after a failure, and twice as long "
-        "after each further one (default: 3 for Open-Meteo, 1 for ECCC)",
-    )
     add_url(parser, "https://customer-archive-api.open-meteo.com/v1/archive?apikey=KEY")
     return parser
 
@@ -77,17 +72,8 @@ def add_url(parser: Parser, example: str) -> None:
 
 
 def _parse_years(text: str) -> range:
-    first, dash, last = text.partition("-")
-    try:
-        years = range(int(first), int(last if dash else first) + 1)
-    except ValueError:
-        years = range(0)
-    if not years or years[0] < FIRST_YEAR:
-        raise argparse.ArgumentTypeError(
-            f"must be a year from {FIRST_YEAR} on, or the first and the last year, such as "
-            f"2015-2024, not {text}"
-        )
-    return years
+    years = sorted(int(_read_year(year)) for year in text.split("-"))
+    return range(years[0], years[-1] + 1)
 
 
 _parse_years.__name__ = "years"  # argparse and the documentation show this
@@ -97,32 +83,20 @@ _parse_years.__name__ = "years"  # argparse and the documentation show this
 def main() -> None:
     """Fetch the weather of the years named on the command line."""
     arguments = make_parser().parse_args()
-    output: Path = arguments.output
+    output, years = arguments.output, arguments.years
     refuse_unwritable(output, ".csv")
     site, now = read_site(arguments.site), datetime.now(timezone.utc)
     if arguments.eccc is None:
-        source = open_meteo_archive(site, arguments.years, now.date(), arguments.url)
+        source = open_meteo_archive(site, years, now.date(), arguments.url)
     else:
-        source = eccc_station(arguments.eccc, arguments.years, now.date(), arguments.url)
+        source = eccc_station(arguments.eccc, years, now.date(), arguments.url)
     part = output.with_name(f"{output.name}.part")
-    Signals(interrupt=True)  # a message says what is kept
-    try:
-        with ProgressBar() as progress:
-            files = fetch(source, site, part, arguments.pause, progress)
-            progress.show("reading and joining", 1.0)
-            records = join_blocks(files, site, arguments.years)
-            replace_text(output, write_records(
-                records, f"{source.about}\nFetched on {now:%Y-%m-%d}; the time of an hour is its "
-                f"start, UTC{records.first.isoformat()[-6:]}."
-            ))
-    except BaseException:
-        kept = sum(file.exists() for file in source.files(part))
-        if 0 < kept < len(source.blocks):
-            print_lines("note", [
-                f"{kept} of {len(source.blocks)} parts have been saved in {part}; run the same "
-                "command again to fetch the rest"
-            ])
-        raise
+    with ProgressBar() as progress:
+        records = join_blocks(fetch(source, site, part, progress), site, years)
+    replace_text(output, write_records(
+        records, f"{source.about}\nFetched on {now:%Y-%m-%d}; the time of an hour is its "
+        f"start, UTC{records.first.isoformat()[-6:]}."
+    ))
     shutil.rmtree(part)
     show_records(records, site)
     print(escape(f"written: {output}"), *source.about.splitlines(), sep="\n")

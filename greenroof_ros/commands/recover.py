@@ -9,17 +9,14 @@ output, 2 nothing could be recovered, or bad usage
 
 from __future__ import annotations
 
-import os
 import shutil
 from pathlib import Path
-from typing import NamedTuple
 
 from mcap.records import Channel, Message, Schema
 
 from greenroof_ros.base.command_line import EXIT_DONE, EXIT_FAILED, Parser, command, print_lines
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.text import escape
-from greenroof_ros.base.times import from_epoch_ns, to_people
 from greenroof_ros.results.bag_mend import read_chunks
 from greenroof_ros.results.bag_write import (
     find_files,
@@ -31,47 +28,35 @@ from greenroof_ros.results.bag_write import (
 from greenroof_ros.results.mcap import McapWriter
 
 
-class Recovered(NamedTuple):
-    """The result of recovering a bag.
-
-    Attributes:
-        bag: the new bag.
-        messages: number of messages in the new bag.
-        losses: descriptions of the losses, one sentence each.
-    """
-
-    bag: Path
-    messages: int
-    losses: list[str]
-
-
-def recover(directory: Path, output: Path | None = None) -> Recovered:
+def recover(directory: Path, output: Path | None = None) -> tuple[Path, int, list[str]]:
     """Copy the intact chunks of a bag to a new bag.
 
     Args:
         directory: a run directory, or the bag in it.
         output: the new bag, which must not exist; by default, next to the old bag.
 
+    Returns:
+        The new bag, its number of messages, and what was lost, one sentence each.
+
     Raises:
-        ConfigurationError: if there is no bag, if the bag contains no intact chunk, or if the
-            output exists or cannot be written.
+        ConfigurationError: if there is no bag, if the bag contains no intact chunk, or if there is
+            no room for the new bag.
+        OSError: if the new bag exists, or cannot be created.
     """
     bag = directory / "bag" if (directory / "bag").is_dir() else directory
-    files = find_files(bag) or sorted(bag.glob("*.mcap"))  # other recorders may not number them
+    files, target, losses = find_files(bag), output or name_recovered_bag(bag), list[str]()
     if not files:
         raise ConfigurationError(
             "must be a run directory or a bag, but contains no .mcap file", file=directory
         )
-    target = output or name_recovered_bag(bag)
-    if target.exists():
-        raise ConfigurationError("already exists; nothing was written", file=target)
-    recorded, counts, losses = read_recorded(bag), dict[str, int](), list[str]()
+    counts = dict.fromkeys((file.name for file in files), 0)
+    target.mkdir(parents=True)
     try:
-        target.mkdir(parents=True)
         for file in files:
             copy = name_next_file(target)
-            counts[file.name], lost = _copy_file(file, copy, recorded.get(file.name, (0, 0)))
-            losses += lost
+            counts[file.name], lost = _copy_file(file, copy)
+            if lost:
+                losses.append(f"{file.name}: {lost}")
             if not counts[file.name]:
                 copy.unlink(missing_ok=True)
         copies = find_files(target)
@@ -86,62 +71,40 @@ def recover(directory: Path, output: Path | None = None) -> Recovered:
         shutil.rmtree(target)
         raise ConfigurationError("does not contain an intact chunk of messages", file=bag)
     losses += [
-        f"{name}: {missing} of its {had} messages are lost" for name, (had, _) in recorded.items()
-        if (missing := had - counts.get(name, 0)) > 0
+        f"{name}: {had - counts.get(name, 0)} of its {had} messages are lost"
+        for name, had in read_recorded(bag).items() if had > counts.get(name, 0)
     ]
-    return Recovered(target, sum(counts.values()), losses)
+    return target, sum(counts.values()), losses
 
 
-def _copy_file(file: Path, copy: Path, had: tuple[int, int]) -> tuple[int, list[str]]:
-    """Copy the intact chunks of a file; return the number of messages copied and the losses.
-
-    Args:
-        file: the file.
-        copy: its copy, which must not exist.
-        had: the file's number of messages and its size (bytes) when it was closed; 0 if unknown.
-    """
-    def lose(size: int, end: str) -> None:
-        start = "the beginning" if last is None else to_people(from_epoch_ns(last))
-        losses.append(f"{file.name}: {size} bytes are lost between {start} and {end}")
-
+def _copy_file(file: Path, copy: Path) -> tuple[int, str]:
+    """Copy the intact chunks of a file; return the number of messages copied, and what is lost."""
     try:
         stream = file.open("rb")
     except OSError as error:
-        return 0, [f"{file.name} cannot be read: {error.strerror}"]
-    seen, losses = set[tuple[type, int]](), list[str]()
-    copied = lost = 0
-    last: int | None = None  # time of the last message written (ns)
-    size = os.fstat(stream.fileno()).st_size
+        return 0, f"cannot be read: {error.strerror}"
+    seen, copied, lost = set[tuple[type, int]](), 0, 0
     with stream, copy.open("xb") as output:
         writer = McapWriter(output)
         for length, records in read_chunks(stream):
             for record in records:
                 if isinstance(record, Schema | Channel) and (type(record), record.id) not in seen:
                     seen.add((type(record), record.id))
-                    if isinstance(record, Channel) and (Schema, record.schema_id) not in seen:
-                        record.schema_id = 0  # its type was defined in the lost part
                     writer.add(record)
-            messages = [record for record in records if isinstance(record, Message)]
-            # The topics of the others were defined in the lost part.
-            known = [message for message in messages if (Channel, message.channel_id) in seen]
-            if known and lost:
-                lose(lost, to_people(from_epoch_ns(known[0].log_time)))
-                lost = 0
-            for message in known:
-                last = message.log_time
+            # The topics of others were defined in a lost part.
+            messages = [
+                each for each in records
+                if isinstance(each, Message) and (Channel, each.channel_id) in seen
+            ]
+            for each in messages:
                 writer.add_message(
-                    message.channel_id, last, message.data, message.publish_time, message.sequence
+                    each.channel_id, each.log_time, each.data, each.publish_time, each.sequence
                 )
             writer.flush()
-            copied += len(known)
-            if not records or len(known) < len(messages):
-                lost += length - length * len(known) // max(len(messages), 1)
+            copied += len(messages)
+            lost += 0 if messages else length
         writer.finish()
-    if copied < had[0]:
-        lost += max(0, had[1] - size)  # cut off
-    if lost:
-        lose(lost, "the end")
-    return copied, losses
+    return copied, f"{lost} bytes are lost" if lost else ""
 
 
 def make_parser() -> Parser:
@@ -162,7 +125,7 @@ def make_parser() -> Parser:
 def main() -> int:
     """Recover the bag named on the command line."""
     arguments = make_parser().parse_args()
-    recovered = recover(arguments.directory, arguments.output)
-    print(escape(f"{recovered.messages} messages recovered to {recovered.bag}"))
-    print_lines("lost", recovered.losses)
-    return EXIT_FAILED if recovered.losses else EXIT_DONE
+    bag, messages, losses = recover(arguments.directory, arguments.output)
+    print(escape(f"{messages} messages recovered to {bag}"))
+    print_lines("lost", losses)
+    return EXIT_FAILED if losses else EXIT_DONE

@@ -14,11 +14,11 @@ import time
 from collections.abc import Callable
 from contextlib import closing
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, NoReturn
 
 from greenroof_ros.base.command_line import Parser, command, make_number_type
 from greenroof_ros.base.text import escape
-from greenroof_ros.base.times import parse_time, to_people
 from greenroof_ros.interface.states import PUMP, VALVE
 from greenroof_ros.ros.domain import add_namespace
 from greenroof_ros.ros.reports import Reports
@@ -86,22 +86,6 @@ class Request:
             print(self.request(client, arguments, reports))
 
 
-def _parse_future_time(text: str) -> float:
-    """Return a future time (s since 1970); if the clock shows it twice, return the later one."""
-    try:
-        end = max(parse_time(text).replace(fold=fold).astimezone() for fold in (0, 1))
-    except ValueError:
-        raise argparse.ArgumentTypeError(
-            f"must be a time such as 2026-12-24T08:00, not {text}"
-        ) from None
-    if end.timestamp() <= time.time():
-        now = to_people(end.now().astimezone().replace(microsecond=0))
-        raise argparse.ArgumentTypeError(
-            f"must be in the future, not {text}; the time is now {now}"
-        )
-    return end.timestamp()
-
-
 def _parse_duration(text: str) -> float:
     """Return a duration (s) such as ``30min``; a number without a unit is in hours."""
     unit = next(unit for unit in _UNITS if text.endswith(unit))
@@ -109,25 +93,23 @@ def _parse_duration(text: str) -> float:
 
 
 # argparse and the documentation show this name.
-_parse_future_time.__name__ = _parse_duration.__name__ = "TIME"
+_parse_duration.__name__ = "TIME"
+
+
+def _add_duration(parser: Parser, *, required: bool) -> None:
+    parser.add_argument(
+        "--for", dest="seconds", type=_parse_duration, required=required, metavar="TIME",
+        help="length, such as 30min, 48h, 2d or 48 (hours)",
+    )
 
 
 def _add_hold_options(parser: Parser) -> None:
-    end = parser.add_mutually_exclusive_group()
-    end.add_argument(
-        "--until", type=_parse_future_time, metavar="TIME",
-        help="end of the hold, such as 2026-12-24T08:00-05:00, or without an offset on this "
-        "machine's clock (default: no end)",
-    )
-    end.add_argument(
-        "--for", dest="seconds", type=_parse_duration, metavar="TIME",
-        help="length of the hold, such as 30min, 48h or 48 (hours; default: no end)",
-    )
+    _add_duration(parser, required=False)
     parser.add_argument("--reason", default="", metavar="TEXT", help="reason for the hold")
 
 
 def _hold(client: GraphClient, arguments: argparse.Namespace, _: Reports) -> str:
-    """Keep the {device} {off} until '{group} release' or a given time.
+    """Keep the {device} {off} until '{group} release' or for a given time.
 
     It stays {off} regardless of its command, and even after a restart. There is only one hold at a
     time: a new hold replaces the owner and the reason of the earlier hold, but never ends before
@@ -135,13 +117,10 @@ def _hold(client: GraphClient, arguments: argparse.Namespace, _: Reports) -> str
 
     Examples:
       {prog} --reason 'the roof is being repaired'
-      {prog} --until 2026-12-24T08:00
       {prog} --for 48h
     """
-    until = arguments.until
-    if arguments.seconds is not None:
-        until = time.time() + arguments.seconds
-    end = {} if until is None else {"until": until}
+    seconds = arguments.seconds
+    end = {} if seconds is None else {"until": time.time() + seconds}
     return client.request(
         "stop", _PATIENCE_S, arguments.role, owner=_OWNER, reason=arguments.reason, **end
     )
@@ -154,13 +133,6 @@ def _release(client: GraphClient, arguments: argparse.Namespace, _: Reports) -> 
     it {off}. A fault is not cleared.
     """
     return client.request("release", _PATIENCE_S, arguments.role)
-
-
-def _add_open_options(parser: Parser) -> None:
-    parser.add_argument(
-        "--for", dest="seconds", type=_parse_duration, required=True, metavar="TIME",
-        help="length of the opening, such as 30min or 2h",
-    )
 
 
 def _open(client: GraphClient, arguments: argparse.Namespace, _: Reports) -> str:
@@ -246,7 +218,7 @@ HOLD = Request("hold", _hold, _add_hold_options)
 RELEASE = Request("release", _release)
 RESET = Request("reset", _reset, _add_reset_options)
 DOSE = Request("dose", _dose, _add_dose_options)
-OUTLET_OPEN = Request("outlet open", _open, _add_open_options, VALVE)
+OUTLET_OPEN = Request("outlet open", _open, partial(_add_duration, required=True), VALVE)
 OUTLET_CLOSE = replace(HOLD, name="outlet close", role=VALVE)
 OUTLET_RELEASE = replace(RELEASE, name="outlet release", role=VALVE)
 OUTLET_RESET = replace(RESET, name="outlet reset", role=VALVE)

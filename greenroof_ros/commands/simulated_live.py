@@ -2,8 +2,8 @@
 
 The command simulates the site's sensors and its drive, with a dry roof, and runs greenroof live on
 them. The roof is watered within a minute. No forecast is needed, and no broker, except mosquitto
-for the relay of a site with a valve; other options are passed to greenroof live. Ctrl-C ends the
-site, and then its devices.
+for the relay of a site with a valve; other options are passed to greenroof live, where those of the
+devices have no effect. Ctrl-C ends the site, and then its devices.
 
 Examples:
   greenroof simulators live --watch
@@ -28,8 +28,7 @@ from pathlib import Path
 
 import yaml
 
-from greenroof_ros.base.command_line import Parser, add_site, command, refuse
-from greenroof_ros.base.errors import ConfigurationError
+from greenroof_ros.base.command_line import Parser, add_site, command
 from greenroof_ros.base.processes import child_environment, scratch_directory
 from greenroof_ros.commands.simulators import add_valve_fault
 from greenroof_ros.live.devices.drive_file import find_drive_file
@@ -37,8 +36,6 @@ from greenroof_ros.site.file import read_site
 from greenroof_ros.site.site import Site
 
 _DRIVE, _RELAY = "danfoss_fc202", "tasmota"
-# Options of `greenroof live` that name the devices, and therefore have no effect here.
-_DEVICES = "--sensors", "--drive", "--drive-at", "--pump", "--valve", "--valve-at"
 # How full the cistern, and the roof relative to its target, are at the start: the roof is thirsty.
 _CISTERN, _ROOF = 0.6, 0.7
 # Time for which the simulated devices may end (s).
@@ -63,11 +60,6 @@ def make_parser() -> Parser:
 def main() -> None:
     """Start the simulated devices, and run the live site until it ends."""
     arguments, others = make_parser().parse_known_args()
-    refuse(*(
-        (word.partition("=")[0] == option, option, None,
-         "must be left out: the devices are simulated; use greenroof live for devices of your own")
-        for word in others for option in _DEVICES
-    ))
     site = read_site(arguments.site)
     with ExitStack() as stack:
         directory = stack.enter_context(scratch_directory())
@@ -77,16 +69,20 @@ def main() -> None:
         common = ["--site", str(arguments.site), "--sensors", str(sensors)]
         cistern = _CISTERN * site.cistern_volume(site.z_o)
         simulated = [f"--cistern={cistern}", f"--roof={_ROOF * site.x2_star}"]
+        own = ["--state", str(arguments.state)]
         if site.irrigated:
             drive, at = directory / "drive.yaml", f"gateway://127.0.0.1:{drive_port}"
             content = yaml.safe_load(find_drive_file(_DRIVE).read_text(encoding="utf-8"))
             # Nothing is unverified: the simulated drive follows the file.
             drive.write_text(yaml.safe_dump({**content, "unverified": []}), encoding="utf-8")
             common += ["--drive", str(drive)]
-            others += ["--drive-at", at]
+            own += ["--drive-at", at]
             simulated += ["--at", at]
         if site.low_outlet_valve:
-            stack.enter_context(_run(_find_broker(directory, broker_port)))
+            # It accepts connections from this computer alone, since it has no configuration.
+            path = f"{os.environ['PATH']}:/usr/sbin"
+            broker = shutil.which("mosquitto", path=path) or "mosquitto"
+            stack.enter_context(_run([broker, "-p", str(broker_port)], subprocess.DEVNULL))
             common += ["--valve", _RELAY, "--valve-at", f"mqtt://127.0.0.1:{broker_port}/valve"]
         if arguments.valve_fault:
             simulated += ["--valve-fault", arguments.valve_fault]
@@ -100,16 +96,17 @@ def main() -> None:
             print(f"the simulated devices are process {devices.pid}", flush=True)
             from greenroof_ros.bringup import live
 
-            sys.argv = ["greenroof live", *common, "--state", str(arguments.state), *others]
+            sys.argv = ["greenroof live", *others, *common, *own]
             live.main()  # it exits
         sys.exit(devices.wait(_ENDING_S))  # it has printed why it cannot start
 
 
 @contextmanager
-def _run(command: list[str]) -> Iterator[subprocess.Popen[bytes]]:
-    """Run a process until the end of a block."""
+def _run(command: list[str], errors: int | None = None) -> Iterator[subprocess.Popen[bytes]]:
+    """Run a process until the end of a block, with its errors on a stream."""
     process = subprocess.Popen(
-        command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, env=child_environment(),
+        command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=errors,
+        env=child_environment(),
         start_new_session=True,  # Ctrl-C is for the site, which still has to stop the pump
     )
     try:
@@ -117,24 +114,6 @@ def _run(command: list[str]) -> Iterator[subprocess.Popen[bytes]]:
     finally:
         process.terminate()
         process.wait(_ENDING_S)
-
-
-def _find_broker(directory: Path, port: int) -> list[str]:
-    """Return the command of a broker for the valve's relay, which only this computer can reach.
-
-    Raises:
-        ConfigurationError: if Mosquitto is not installed.
-    """
-    mosquitto = shutil.which("mosquitto", path=f"{os.environ['PATH']}:/usr/sbin")
-    if mosquitto is None:
-        raise ConfigurationError(
-            "needs the MQTT broker mosquitto for the relay of the valve: apt install mosquitto"
-        )
-    file = directory / "mosquitto.conf"
-    file.write_text(
-        f"listener {port} 127.0.0.1\nallow_anonymous true\nlog_dest none\n", encoding="utf-8"
-    )
-    return [mosquitto, "-c", str(file)]
 
 
 def _describe_sensors(site: Site, port: int) -> str:
@@ -154,8 +133,6 @@ def _describe_sensors(site: Site, port: int) -> str:
 
 def _find_free_ports(count: int) -> list[int]:
     """Return TCP ports of the loopback address that are free now."""
-    sockets = [socket.create_server(("127.0.0.1", 0)) for _ in range(count)]
-    ports = [each.getsockname()[1] for each in sockets]
-    for each in sockets:
-        each.close()
-    return ports
+    with ExitStack() as stack:
+        servers = (socket.create_server(("127.0.0.1", 0)) for _ in range(count))
+        return [stack.enter_context(server).getsockname()[1] for server in servers]

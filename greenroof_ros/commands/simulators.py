@@ -25,9 +25,8 @@ import signal
 import time
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from greenroof_ros.base.command_line import Parser, command, refuse
+from greenroof_ros.base.command_line import Parser, command
 from greenroof_ros.base.mqtt import parse_topic
 from greenroof_ros.live.devices.drive_file import find_drive_file, read_relay_file
 from greenroof_ros.live.devices.exchange import Endpoint, read_endpoint
@@ -37,9 +36,7 @@ from greenroof_ros.live.devices.sensor_file import Sensors, default_sensors, rea
 from greenroof_ros.live.pumping.valve_control import TRAVEL_S
 from greenroof_ros.live.simulators.valve import FAULTS, SimulatedValve
 from greenroof_ros.simulation.options import add_site_arguments, build_run
-
-if TYPE_CHECKING:
-    from greenroof_ros.simulation.run import Run
+from greenroof_ros.simulation.run import Run
 
 # Time without a request after which a simulated relay switches itself off (s).
 _TIMER_S = 5.0
@@ -99,8 +96,6 @@ def main() -> None:
     if run.site.low_outlet_valve:
         relay = read_relay_file(find_drive_file(arguments.valve))
         places["valve"] = RelayEndpoint(relay, *parse_topic(arguments.valve_at, "--valve-at"))
-    refuse((fault and "valve" not in places, "--valve-fault", fault,
-            "must be left out: the site has no valve"))
     sensors = read_sensors(arguments.sensors or default_sensors())
     asyncio.run(_simulate(run, sensors, places, fault))
 

@@ -1,4 +1,4 @@
-"""Print the current state of the run or the site in this ROS domain, in at most 15 lines.
+"""Print the current state of the run or the site in this ROS domain.
 
 It consists of levels, pump, rain and forecast, controller and alarms, with the same wording as the
 page of 'greenroof watch'. The command publishes nothing. It listens for 2 s after it has found a
@@ -35,7 +35,6 @@ WARNING, ALARM, NOTHING = 1, 2, 3
 # node reports at least once a second, but the middleware may take seconds to find it.
 _SETTLED_S, _MAX_S = 2.0, 5.0
 _POLL_S = 0.1
-_MAX_LINES = 15
 _TILES = "roof", "cistern", "pump", VALVE, "watering", "rain", "temperature"
 _LEVELS = {"error": "Alarm", "warn": "Warning"}
 
@@ -107,7 +106,4 @@ def _write_lines(shown: Mapping[str, Any], code: int) -> list[str]:
         f"{_LEVELS[row['level']]}. {row['what']} since {row['since_text']}. {row['do']}"
         for row in shown["alarms"]
     ]
-    lines += [*filter(None, [shown["contact"]]), *shown["notes"]]
-    if (hidden := len(lines) - _MAX_LINES + 1) > 1:
-        lines[-hidden:] = [f"and {hidden} more lines; see 'greenroof watch'"]
-    return lines
+    return [*lines, *filter(None, [shown["contact"]]), *shown["notes"]]

@@ -34,14 +34,7 @@ import os
 from contextlib import suppress
 from pathlib import Path
 
-from greenroof_ros.base.command_line import (
-    Parser,
-    command,
-    make_number_type,
-    option_of,
-    print_lines,
-    refuse,
-)
+from greenroof_ros.base.command_line import Parser, command, make_number_type, print_lines
 from greenroof_ros.base.errors import require_extra
 from greenroof_ros.base.files import state_directory
 from greenroof_ros.base.processes import InterruptedRun, Signals
@@ -49,7 +42,7 @@ from greenroof_ros.ros.domain import add_namespace
 from greenroof_ros.watch.feed import Feed
 from greenroof_ros.watch.foxglove_server import FoxgloveServer
 from greenroof_ros.watch.lines import read_last_seen
-from greenroof_ros.watch.listening import LOOPBACK, PORTS, Listener, listen, new_token, read_token
+from greenroof_ros.watch.listening import LOOPBACK, PORTS, listen, new_token, read_token
 from greenroof_ros.watch.store import GraphStore
 
 NICENESS = 10
@@ -73,10 +66,10 @@ def make_parser() -> Parser:
         "site file allows; the page then always requires its token",
     )
     parser.add_argument(
-        "--host", metavar="ADDRESS",
+        "--host", default=LOOPBACK, metavar="ADDRESS",
         help="serve the page at this address; 0.0.0.0 means all addresses. If other machines can "
         "reach it, the page requires a token, which is printed with the address; the connection is "
-        f"not encrypted (default: {LOOPBACK})",
+        "not encrypted (default: %(default)s)",
     )
     parser.add_argument(
         "--port", type=make_number_type(1, 65535, int), metavar="N",
@@ -103,33 +96,14 @@ def open_store(namespace: str) -> GraphStore:
     return store
 
 
-def _note(listener: Listener, port: int | None, *, release: bool) -> None:
-    """Print that another port was chosen, and what the page allows other people to do."""
-    holder = "anyone who has the address, including its token, can "
-    notes = {
-        f"port {PORTS[0]} is in use, perhaps by another watcher":
-            port is None and f":{PORTS[0]}/" not in listener.url,
-        f"{holder}view the page, stop the pump and close the outlet valve; the connection is not "
-        "encrypted": not listener.is_loopback,
-        f"{holder}release the pump, open the outlet valve, and request a dose if the site file "
-        "allows doses": release,
-    }
-    print_lines("note", (text for text, applies in notes.items() if applies))
-
-
 @command
 def main() -> None:
     """Watch the graph until a signal arrives."""
     arguments = make_parser().parse_args()
-    foxglove, release = arguments.foxglove, arguments.allow_release
-    refuse(*(
-        (foxglove is not None and getattr(arguments, name), option_of(name), None,
-         "applies only to the page; omit this option or --foxglove")
-        for name in ("allow_release", "host", "port", "token_file")
-    ))
+    release = arguments.allow_release
     os.nice(NICENESS)
-    if foxglove is not None:
-        signals, server = Signals(), FoxgloveServer(arguments.namespace, foxglove)
+    if arguments.foxglove is not None:
+        signals, server = Signals(), FoxgloveServer(arguments.namespace, arguments.foxglove)
         print(server.url, flush=True)
         with suppress(InterruptedRun):
             server.run(signals)
@@ -138,8 +112,7 @@ def main() -> None:
     store.allow_release = release
     with require_extra("watch"):
         from greenroof_ros.watch.server import PageServer
-    listener = listen(arguments.host or LOOPBACK, arguments.port)
-    token = ""
+    listener, token = listen(arguments.host, arguments.port), ""
     if arguments.token_file is not None:
         token = read_token(arguments.token_file)
     elif release or not listener.is_loopback:
@@ -147,6 +120,7 @@ def main() -> None:
         token = new_token()
     signals = Signals()
     with suppress(InterruptedRun), Feed(store, find_past_file(arguments.namespace)) as feed:
-        _note(listener, arguments.port, release=release)
+        if token:
+            print_lines("note", ["anyone who has the address can do what the page allows"])
         print(listener.url + (f"#token={token}" if token else ""), flush=True)
         PageServer(store, feed, listener, token or None).serve(signals)

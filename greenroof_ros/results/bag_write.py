@@ -250,8 +250,7 @@ def write_metadata(bag: Path, files: Sequence[Path]) -> None:
             {"path": file.name, **_describe_messages([of_file])}
             for file, of_file in messages.items()
         ],
-        # Shows how much is lost if a file is cut later.
-        "custom_data": {f"bytes of {file.name}": str(file.stat().st_size) for file in indices},
+        "custom_data": {},
         "ros_distro": "jazzy",
     }
     replace_text(bag / METADATA, yaml.safe_dump(
@@ -271,18 +270,14 @@ def _describe_messages(statistics: Collection[Statistics]) -> dict[str, Any]:
     }
 
 
-def read_recorded(bag: Path) -> dict[str, tuple[int, int]]:
-    """Return each closed file's number of messages and its size (bytes), 0 if it is unknown.
+def read_recorded(bag: Path) -> dict[str, int]:
+    """Return each closed file's number of messages.
 
     The result is empty if the bag's metadata is damaged.
     """
     with suppress(ConfigurationError, AttributeError, KeyError, TypeError, ValueError):
         about = read_yaml(bag / METADATA)["rosbag2_bagfile_information"]
-        counts = {str(file["path"]): int(file["message_count"]) for file in about["files"]}
-        sizes = about.get("custom_data") or {}
-        return {
-            name: (count, int(sizes.get(f"bytes of {name}", 0))) for name, count in counts.items()
-        }
+        return {str(file["path"]): int(file["message_count"]) for file in about["files"]}
     return {}
 
 

@@ -7,13 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from greenroof_ros.base.command_line import (
-    Parser,
-    add_option,
-    add_site,
-    make_number_type,
-    option_of,
-)
+from greenroof_ros.base.command_line import Parser, add_option, add_site, option_of
 from greenroof_ros.base.errors import rename_keys
 from greenroof_ros.controllers.registry import (
     BUILT_IN,
@@ -108,21 +102,16 @@ _OPTIONS = {name: option_of(name) for name in ("controller", *INPUTS)}
 
 
 def add_output_arguments(parser: Parser) -> argparse._ArgumentGroup:
-    """Add the options for the output and the pace of a run, and return their group.
+    """Add the options for the output of a run, and return their group.
 
     Args:
         parser: the command's parser.
     """
-    group = parser.add_argument_group("output and pace")
+    group = parser.add_argument_group("output")
     group.add_argument(
         "--output", type=Path, metavar="DIR",
         help="write the run to DIR, which must be new or empty (default: a dated directory in "
         "runs/)",
-    )
-    group.add_argument(
-        "--speed", type=make_number_type(1e-9, 1e9, word="max"), default=0.0,
-        metavar="{max|FACTOR}",
-        help="set the ratio of simulated time to wall-clock time; 1 is real time (default: max)",
     )
     group.add_argument(
         "--json", action="store_true", help="print the summary as JSON instead of a table"

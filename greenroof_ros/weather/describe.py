@@ -27,6 +27,8 @@ from greenroof_ros.weather.quantities import PRECIPITATION, QUANTITIES, Unit, fi
 from greenroof_ros.weather.table import parse_text, split, split_unit
 
 _LINES = 10_000
+# The first that fits the file is used.
+_ENCODINGS = "utf-8", "cp1252"
 # Lines after the rows that can contain sums and remarks.
 _FOOT = 4
 _HIGHEST = 1e4  # of any quantity in our unit
@@ -62,18 +64,17 @@ _ZONE = re.compile(r"\b(?:UTC|GMT)(?: ?([+-]\d{1,2})(?::?(\d\d))?)?\b")
 _UNKNOWN = "?"
 
 
-def describe(file: Path, encodings: Sequence[str] = ("utf-8", "cp1252")) -> str:
+def describe(file: Path) -> str:
     """Return a description of a file as YAML.
 
     Args:
         file: the file.
-        encodings: encodings of which the first that fits the file is used.
 
     Raises:
         ConfigurationError: if the file cannot be read, or if no columns of times and values can be
             found in it.
     """
-    encoding, lines = _read(file, encodings)
+    encoding, lines = _read(file)
     separator, cells, header, first, last, time, forms = _find_rows(file, lines)
     rows = [row for row in cells[first : last + 1] if any(row)]
     full = names = [" ".join(name.split()) for name in cells[header]]
@@ -127,12 +128,12 @@ def describe(file: Path, encodings: Sequence[str] = ("utf-8", "cp1252")) -> str:
     ) + "".join(f"# {escape(comment)}\n" for comment in comments)
 
 
-def _read(file: Path, encodings: Sequence[str]) -> tuple[str, list[str]]:
-    for encoding in encodings:
+def _read(file: Path) -> tuple[str, list[str]]:
+    for encoding in _ENCODINGS:
         with suppress(ConfigurationError):
             lines = itertools.islice(read_lines(file, encoding), _LINES)
             return encoding, [line.rstrip("\r\n") for line in lines]
-    return "", [*read_lines(file, encodings[0])]  # its error
+    return "", [*read_lines(file, _ENCODINGS[0])]  # its error
 
 
 def _find_rows(

@@ -163,16 +163,13 @@ def eccc_station(station: int, years: range, today: date, url: str = "") -> Sour
     )
 
 
-def fetch(
-    source: Source, site: Place, directory: Path, pause_s: float | None, progress: ProgressBar
-) -> list[Path]:
+def fetch(source: Source, site: Place, directory: Path, progress: ProgressBar) -> list[Path]:
     """Fetch the blocks that are not in a directory yet, and return the files of all blocks.
 
     Args:
         source: service and blocks to fetch.
         site: site, whose location and clock are used to read the responses.
         directory: directory of the blocks, which is created if it does not exist.
-        pause_s: pause between requests (s); None for the pause of the source.
         progress: progress bar that shows the current block, and the reasons for repeated requests.
 
     Raises:
@@ -181,7 +178,7 @@ def fetch(
         ConfigurationError: if a response does not match the site.
         OSError: if a block cannot be stored.
     """
-    pause_s, wait = source.pause_s if pause_s is None else pause_s, 0.0
+    wait = 0.0
     directory.mkdir(exist_ok=True)
     files = source.files(directory)
     for number, (block, file) in enumerate(zip(source.blocks, files, strict=True)):
@@ -197,10 +194,10 @@ def fetch(
                 answer.write_bytes(body)
                 _check(answer, source, block, site)
                 answer.replace(file)
-                wait = pause_s
+                wait = source.pause_s
                 break
             except ServiceError as error:
-                wait = max(pause_s * _WAIT_PAUSES * 2**attempt, _find_wait(error))
+                wait = max(source.pause_s * _WAIT_PAUSES * 2**attempt, _find_wait(error))
                 if error.is_final or attempt == _ATTEMPTS - 1 or wait > _MAX_WAIT_S:
                     raise ServiceError(f"{block}: {error}") from error
                 progress.print_line(f"{error}; next attempt in {duration(wait)}")

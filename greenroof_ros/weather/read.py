@@ -53,21 +53,18 @@ def read_file(file: Path, site: Place, described: Description | None = None) -> 
     return open_meteo.read_weather_rows(file, site)
 
 
-def read_measured(
-    files: Sequence[Path], site: Place, described: Description | None = None
-) -> Records:
+def read_measured(files: Sequence[Path], site: Place) -> Records:
     """Read weather files, which may have different formats, and join them without filling gaps.
 
     Args:
         files: one or more weather files, or descriptions of weather files.
         site: site with its location and clock.
-        described: description of files that are not named by a description.
 
     Raises:
         ConfigurationError: if a file cannot be parsed, or if two files overlap.
     """
     joined = make_hours([
-        rows for file, own in expand(files, described) for rows in read_file(file, site, own)
+        rows for file, own in expand(files) for rows in read_file(file, site, own)
     ])
     if PRECIPITATION not in joined.values:
         raise ConfigurationError(
@@ -288,16 +285,12 @@ def find_files(names: Iterable[str], key: str) -> list[Path]:
     return [*files]
 
 
-def expand(
-    paths: Iterable[Path], of_others: Description | None = None
-) -> Iterator[tuple[Path, Description | None]]:
-    """Yield the weather files among the paths, with their own descriptions or that of others."""
+def expand(paths: Iterable[Path]) -> Iterator[tuple[Path, Description | None]]:
+    """Yield the weather files among the paths, with their own descriptions if they have one."""
     for path in paths:
         if path.suffix not in (".yaml", ".yml"):
-            yield path, of_others
+            yield path, None
             continue
-        if of_others is not None:
-            of_others.check_unused(path.name, path)
         described = read_description(path)
         if not described.file:
             raise ConfigurationError(

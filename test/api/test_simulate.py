@@ -198,25 +198,6 @@ def test_a_trajectory_of_some_ticks(every: float | None, kept: Sequence[int]) ->
     assert result.metrics == whole.metrics
 
 
-def test_the_command_writes_the_same_at_once_and_paced(tmp_path: Path) -> None:
-    """On/off at once or tick by tick: readings of a noisy sensor, and the drainage layer."""
-    options = (
-        "--controller", "onoff", "--hours", "3", "--site", str(CONFIG / "site_neubrandenburg.yaml"),
-        "--start", "2021-07-08T10:00", "--roof-noise", "0.01", "--trajectory-every", "7",
-    )
-    texts, summaries = [], []
-    for number, pace in enumerate(("max", "1e9")):
-        directory = tmp_path / str(number)
-        directory.mkdir()
-        summaries.append(of_command(directory, "--speed", pace, *options))
-        texts.append((directory / "out" / "trajectory.csv").read_text())
-    assert texts[0] == texts[1]
-    assert {key for key, value in summaries[0].items() if summaries[1][key] != value} <= OTHER
-    with (tmp_path / "0" / "out" / "trajectory.csv").open() as stream:
-        layers = [float(row["drainage_layer_m3"]) for row in csv.DictReader(stream)]
-    assert layers[0] < max(layers) and layers[-1] == summaries[0]["final_layer_m3"]
-
-
 def test_the_drainage_layer_is_computed_from_what_is_recorded(tmp_path: Path) -> None:
     """A file of a trajectory has no layer; with each tick, its water is that of the run."""
     inputs = {"site": CONFIG / "site_neubrandenburg.yaml", "start": "2021-07-08T10:00", "hours": 2}

@@ -183,13 +183,10 @@ def test_a_hold_by_the_command(rig: PumpRig) -> None:
     """Its times are those of the site's clock. A request that does not shorten it says so."""
     rig.start()
     rig.run()
-    until = datetime.now().astimezone() + timedelta(hours=1)
-    code, output = command(
-        rig, "hold", "--until", f"{until:%Y-%m-%dT%H:%M:%S}", "--reason", "painting",
-    )
-    at_site = until.astimezone(timezone(timedelta(hours=-5)))
-    time = r"(\d\d \w{3} )?"
-    times = rf"since {time}[:\d]+ until {time}{at_site:%H:%M}"
+    code, output = command(rig, "hold", "--for", "1h", "--reason", "painting")
+    at_site = datetime.now(timezone(timedelta(hours=-5)))
+    time = rf"({at_site:%d %b} )?{at_site:%H}:\d\d"
+    times = rf"since {time} until (\d\d \w{{3}} )?{(at_site + timedelta(hours=1)):%H}:\d\d"
     held = f"held: a hold by the command line {times}: painting"
     assert code == 0 and re.fullmatch(rf"{held}(; the pump is still turning)?\n", output), output
     stays_off(rig, held)

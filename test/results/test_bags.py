@@ -55,12 +55,6 @@ def clock(time_ns: int) -> bytes:
     return struct.pack("<III", 256, time_ns // 10**9, time_ns % 10**9)
 
 
-def utc(tick: int) -> str:
-    """Return the time of one of the first 3600 ticks, as messages write it."""
-    seconds = f":{tick % 60:02}" if tick % 60 else ""
-    return f"2021-07-07 07:{tick // 60:02}{seconds}+00:00"
-
-
 Message = tuple[str, int, int, bytes]
 """topic, time, tick and content"""
 
@@ -193,7 +187,7 @@ def test_what_is_whole_is_recovered_after_any_damage(
     assert bool(losses) == bool(lost[not closed])
     if lost[not closed] == SECOND:
         assert losses == [
-            f"bag_0.mcap: {parts[1].chunk_length} bytes are lost between {utc(15)} and {utc(32)}",
+            f"bag_0.mcap: {parts[1].chunk_length} bytes are lost",
             "bag_0.mcap: 96 of its 2166 messages are lost",
         ][: 1 + closed]
 
@@ -424,7 +418,7 @@ def test_recording_that_fails_tries_again(tmp_path: Path, room: int) -> None:
         write_second(bag, later, values[later])
     assert bag.problem == ""
     bag.close()
-    restored = read(recover(tmp_path).bag)
+    restored = read(recover(tmp_path)[0])
     assert len(restored) >= 3000 - second - 60  # one wait
     assert set(restored) <= {
         (TOPICS[0], LATE_NS + second * 10**9, value) for second, value in enumerate(values)

@@ -90,14 +90,3 @@ def test_refused_forecasts(tmp_path: Path, lines: list[str], line: int, words: s
         read_forecasts(file)
     assert str(refused.value).startswith(f"{file}, line {line}: ")
     assert words in str(refused.value)
-
-
-def test_an_output_that_cannot_be_written(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """As for any file that cannot be written, the exit code is 1."""
-    monkeypatch.setattr(sys, "argv", ["simulate", "--output", "/proc/greenroof", "--trajectory"])
-    with pytest.raises(SystemExit) as ended:
-        main()
-    assert ended.value.code == 1
-    assert "error: /proc/greenroof: " in capsys.readouterr().err

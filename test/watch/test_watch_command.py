@@ -91,7 +91,6 @@ def test_it_waits_for_a_graph_on_loopback_and_ends_soon(domain: int, tmp_path: P
     ports = [port for _, port in watchers]
     assert ports[0] != ports[1] and min(ports) >= 8080
     for (process, port), number in zip(watchers, (signal.SIGINT, signal.SIGHUP), strict=True):
-        assert ("port 8080 is in use" in process.stderr()) == (port != 8080)
         assert read_state(port)["mode"] == "none"
         pid = process.process.pid
         assert tcp_addresses_of(pid) == {"0100007F"}
@@ -107,8 +106,8 @@ def test_beyond_loopback_and_to_release_it_needs_its_token(domain: int, tmp_path
     """
     (port,), file, tokens = free_ports(1), tmp_path / "token", []
     for options, warning in (
-        (("--host", "0.0.0.0", "--token-file", file.name), "can view the page, stop"),
-        (("--allow-release",), "can release the pump"), (("--token-file", file.name), ""),
+        (("--host", "0.0.0.0", "--token-file", file.name), "anyone who has the address"),
+        (("--allow-release",), "anyone who has the address"), (("--token-file", file.name), ""),
     ):
         process = Process(domain, "watch", *options, "--port", str(port), cwd=tmp_path)
         url = wait_for(process.stdout, 60, "an address")

@@ -343,13 +343,6 @@ def test_what_a_draft_does_not_understand_is_open(tmp_path: Path) -> None:
         assert (f"# not a number: {cells[0]}" in text) == (expected == "?")
 
 
-def test_the_encoding_of_a_draft_may_be_stated(tmp_path: Path) -> None:
-    """Its first line does not say it."""
-    (tmp_path / "a.csv").write_text("Zeit,Regen\n2024-07-13 00:00,1\n", encoding="utf-16")
-    assert "utf-16" in describe(tmp_path / "a.csv", ["utf-16"])
-    assert "is not text in UTF-8" in refusal(describe, tmp_path / "a.csv")
-
-
 def test_stated_rows_come_before_those_of_a_comment(tmp_path: Path) -> None:
     """Also if they are the default."""
     (tmp_path / "a.csv").write_text(
@@ -358,10 +351,6 @@ def test_stated_rows_come_before_those_of_a_comment(tmp_path: Path) -> None:
     (tmp_path / "a.yaml").write_text("file: a.csv\nrows: start\n")
     for file, first in (("a.csv", 0), ("a.yaml", 1)):
         assert read_measured([tmp_path / file], SITE).first.hour == first
-    message = refusal(
-        read_measured, [tmp_path / "a.yaml"], SITE, make_description({"rows": "end"})
-    )
-    assert "rows: has no effect" in message
 
 
 def test_rain_of_hours_known_in_part_is_told(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import re
@@ -10,6 +11,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import replace
 from datetime import date, datetime, timedelta, timezone
 from pathlib import Path
@@ -27,6 +29,7 @@ from weather_service import WeatherService, open_meteo_values
 from greenroof_ros.base import http
 from greenroof_ros.base.http import ServiceError
 from greenroof_ros.base.progress import ProgressBar
+from greenroof_ros.commands import fetch_weather
 from greenroof_ros.site.file import read_site
 from greenroof_ros.site.site import Site
 from greenroof_ros.weather import download
@@ -55,13 +58,26 @@ def service() -> Iterator[WeatherService]:
 
 def words(service: WeatherService, *more: str) -> list[str]:
     path = "/climate_data/bulk_data_e.html" if "--eccc" in more else "/v1/archive"
-    return ["--url", f"{service.address}{path}", "--pause", "0.01", "--output", "out.csv", *more]
+    return ["--url", f"{service.address}{path}", "--output", "out.csv", *more]
 
 
 def run(service: WeatherService, directory: Path, *more: str) -> CompletedProcess[str]:
-    return run_command(
-        "fetch_weather", *words(service, *more), cwd=directory, env={**os.environ, "COLUMNS": "500"}
-    )
+    """Run the command in this process, without pauses."""
+    out, errors = io.StringIO(), io.StringIO()
+    with pytest.MonkeyPatch.context() as patch, redirect_stdout(out), redirect_stderr(errors):
+        patch.chdir(directory)
+        patch.setenv("COLUMNS", "500")
+        patch.setattr(fetch_weather, "fetch", fetch_at_once)
+        patch.setattr(sys, "argv", ["fetch-weather", *words(service, *more)])
+        with pytest.raises(SystemExit) as ended:
+            fetch_weather.main()
+    return CompletedProcess([], int(ended.value.code or 0), out.getvalue(), errors.getvalue())
+
+
+def fetch_at_once(
+    source: Source, site: Site, directory: Path, progress: ProgressBar | None = None
+) -> list[Path]:
+    return fetch(source._replace(pause_s=0.001), site, directory, progress or ProgressBar())
 
 
 def simulate(directory: Path, *more: str) -> dict[str, object]:
@@ -84,13 +100,13 @@ def test_two_years_come_in_spite_of_all_that_services_send(service, tmp_path):
     assert (done.returncode, [*tmp_path.iterdir()]) == (0, [tmp_path / "out.csv"]), done.stderr
     for reason in ("is not valid JSON", "IncompleteRead", "429 Too Many Requests", "503",
                    "went wrong", "to 2025-01-01T00:00+00:00 instead of",
-                   "next attempt in 1 s"):
+                   "next attempt in "):
         assert reason in done.stderr
     # Each year until it came; years are of the site's clock, so there is a day more at both ends.
     asked = [(query["start_date"], query["end_date"]) for query in service.requests]
     assert asked == 7 * [("2022-12-31", "2023-12-31")] + 2 * [("2024-01-01", "2025-01-01")]
     for text in (
-        "17544", "43.60 N, 79.40 W", "3 km from the site", "CC BY 4.0", "non-commercial",
+        "17544", "43.60 N, 79.40 W", "the site is at 43.63 N", "CC BY 4.0", "non-commercial",
         LOW_PEAKS,
     ):
         assert text in done.stdout
@@ -181,7 +197,6 @@ def test_what_came_before_the_end_is_not_requested_again(service, tmp_path, ende
     if ended_by == signal.SIGINT:
         assert process.returncode == 130
         assert "Traceback" not in errors
-        assert "2 of 4 parts have been saved in out.csv.part; run the same command again" in errors
     done = run(service, tmp_path, "--years", "2021-2024")
     assert done.returncode == 0, done.stderr
     starts = [query["start_date"][:4] for query in service.requests]
@@ -192,12 +207,12 @@ def test_what_came_before_the_end_is_not_requested_again(service, tmp_path, ende
 @pytest.mark.parametrize("damage", ["empty", "half", "zeros"])
 def test_a_part_that_a_power_cut_has_damaged_is_requested_again(service, tmp_path, damage):
     source = archive(service, range(2022, 2024))
-    part, whole = fetch(source, SITE, tmp_path, 0.001, ProgressBar())
+    part, whole = fetch_at_once(source, SITE, tmp_path)
     good, body = whole.read_bytes(), part.read_bytes()
     part.write_bytes(
         {"empty": b"", "half": body[: len(body) // 2], "zeros": bytes(len(body))}[damage]
     )
-    fetch(source, SITE, tmp_path, 0.001, ProgressBar())
+    fetch_at_once(source, SITE, tmp_path)
     assert (part.read_bytes(), whole.read_bytes()) == (body, good)
     starts = [query["start_date"][:4] for query in service.requests]
     assert starts == ["2021", "2023", "2021"]
@@ -208,53 +223,39 @@ def test_a_full_disk_is_named_and_a_larger_one_goes_on(service, tmp_path):
         done = run(service, tmp_path / "disk", "--years", "2023-2024")
         assert done.returncode == 1
         assert "No space left on device" in done.stderr
-        assert "1 of 2 parts have been saved" in done.stderr
         assert not (tmp_path / "disk" / "out.csv").exists()
 
 
 @pytest.mark.parametrize(("options", "reason"), [
     *((["--years", years], "argument --years") for years in (
-        "2024-2015", "last", "2020-", "1940-1950",
+        "last", "2020-", "1940-1950",
     )),
-    (["--years", "99999"], "years = 99999"),
     (["--years", "2020-2199"], "years = 2199"),
     (["--years", "2199", "--eccc", "48549"], "years = 2199"),
     (["--years", "2020", "--eccc", "6158359"], "argument --eccc"),
     (["--years", "2020", "--eccc", "-1"], "argument --eccc"),
     (["--years", "2020", "--url", "ftp://a"], "must begin with http"),
-    (["--years", "2020", "--pause", "nan"], "argument --pause"),
     *((["--years", "2020", "--output", file], f"--output = '{file}'") for file in (
         "old.csv", "a.json", "none/a.csv",
     )),
     (["--years", "2020", "--site", "nowhere.yaml"], "longitude: must be in the site"),
     (["--years", "2020", "--site", "nowhere.yaml", "--eccc", "1"], "must state its offset from"),
     (["--eccc", "48549", "--years", "1999"], "the service has no hourly records for these years"),
-    (["--years", "2020", "--site", "far.yaml"], "must be within 0.5 degrees of the site's"),
     (["--years", "2020", "--site", "high.yaml"], "must be within 300 m of the site's"),
 ])
-def test_what_cannot_be_is_refused_before_or_at_the_first_request(
-    service, tmp_path, monkeypatch, options, reason
-):
+def test_what_cannot_be_is_refused_at_once(service, tmp_path, options, reason):
     (tmp_path / "old.csv").write_text("mine")
-    site_file(tmp_path, longitude=10.0).rename(tmp_path / "far.yaml")
     site_file(tmp_path, elevation=1000.0).rename(tmp_path / "high.yaml")
     lines = site_file(tmp_path).read_text().splitlines()
     place = ("latitude", "longitude", "utc_offset")
     (tmp_path / "nowhere.yaml").write_text(
         "\n".join(line for line in lines if not line.startswith(place))
     )
-    if "far.yaml" in options:
-        original = service.answer
-        monkeypatch.setattr(
-            service, "answer", lambda path, query, fault: original(
-                path, {**query, "longitude": "-79.4"}, fault
-            ),
-        )
     done = run(service, tmp_path, *options)
     assert done.returncode == 2
     assert reason in " ".join(done.stderr.split())
     assert "Traceback" not in done.stderr
-    asked = {"far.yaml": 1, "high.yaml": 1, "1": 1, "1999": 12}
+    asked = {"high.yaml": 1, "1": 1, "1999": 12}
     assert len(service.requests) == asked.get(options[-1], 0)
     assert (tmp_path / "old.csv").read_text() == "mine"
 
@@ -297,26 +298,14 @@ def archive(service: WeatherService, years: range = range(2020, 2021)) -> Source
 
 def failure(service: WeatherService, directory: Path, source: Source) -> str:
     with pytest.raises(ServiceError) as caught:
-        fetch(source, SITE, directory, 0.001, ProgressBar())
+        fetch_at_once(source, SITE, directory)
     return str(caught.value)
 
 
-# All with the status 400, in the words of Open-Meteo's source and pages, except for the key and the
-# timeout, which stand for other words of the same kinds.
-REQUEST_ERRORS = (
-    "Latitude must be in range of -90 to 90°. Given: 95.0.",
-    "Invalid timezone",
-    "End-date must be larger or equals than start-date",
-    "No data is available for this location",
-    "Data corrupted at path ''. Cannot initialize ForecastVariable from invalid String value rain.",
-    "The supplied API key is invalid.",
-)
-OWN_FAILURES = "Something went wrong.", "Timeout while reading value from disk"
-
-
 @pytest.mark.parametrize(("fault", "requests", "reason"), [
-    *((reason, 1, "400 Bad Request: ") for reason in REQUEST_ERRORS),
-    *((reason, 8, "400 Bad Request: ") for reason in OWN_FAILURES),
+    # Both with the status 400, in the words of Open-Meteo's source.
+    ("No data is available for this location", 1, "400 Bad Request: "),
+    ("Timeout while reading value from disk", 8, "400 Bad Request: "),
     ("missing", 1, "404 Not Found"),
     ("fewer", 1, "sent no solar radiation values"),
     ("dry", 1, "sent no precipitation values"),
@@ -338,7 +327,7 @@ def test_what_does_not_pass_is_tried_once_and_what_may_pass_eight_times(
     assert told.startswith("2019-12-31 to 2021-01-01: ")
     assert len(service.requests) == requests
     service.faults = []  # nothing of it is kept
-    assert len(fetch(archive(service), SITE, tmp_path / "part", 0.001, ProgressBar())) == 1
+    assert len(fetch_at_once(archive(service), SITE, tmp_path / "part")) == 1
     assert len(service.requests) == requests + 1
 
 
@@ -346,13 +335,6 @@ def test_a_slow_service_is_given_up(service, tmp_path, monkeypatch):
     monkeypatch.setattr(http, "ANSWER_S", 0.2)
     service.faults = 9 * ["slow"]
     assert "no complete response within 0.2 s" in failure(service, tmp_path, archive(service))
-
-
-@pytest.mark.parametrize("login", ["", "me:s3cr3t@"])
-def test_a_proxy_of_the_environment_is_used(service, tmp_path, monkeypatch, login):
-    monkeypatch.setenv("http_proxy", service.address.replace("http://", login))
-    source = open_meteo_archive(SITE, range(2020, 2021), TODAY, "http://nowhere.invalid/v1/archive")
-    assert len(fetch(source, SITE, tmp_path, 0.001, ProgressBar())) == len(service.requests) == 1
 
 
 @pytest.mark.parametrize(("error", "wait"), [
@@ -400,7 +382,7 @@ def test_years_are_of_the_sites_clock_or_of_solar_time(service, tmp_path, offset
     site = replace(SITE, utc_offset=offset)
     source = open_meteo_archive(site, range(2020, 2021), TODAY, f"{service.address}/v1/archive")
     records = join_blocks(
-        fetch(source, site, tmp_path, 0.001, ProgressBar()), site, range(2020, 2021)
+        fetch_at_once(source, site, tmp_path), site, range(2020, 2021)
     )
     assert records.first == datetime.fromisoformat(f"2020-01-01T00:00{expected}")
     assert (records.hours, records.first.isoformat()[-6:]) == (8784, expected)

@@ -57,7 +57,7 @@ def test_what_the_file_of_a_service_is(tmp_path: Path) -> None:
     """July 2021 at Toronto City Centre, as the file itself has it."""
     said = about(tmp_path, JULY)
     expected = {
-        ("place", "43.63 N, 79.40 W", "0 km from the site, 43.63 N, 79.40 W"),
+        ("place", "43.63 N, 79.40 W", "the site is at 43.63 N, 79.40 W"),
         ("hours", "744", "2021-07-01 00:00-05:00 to 2021-07-31 23:00-05:00"),
         ("rain", "1 h late", "each time is the end of an hour; a run treats it as the start"),
     }
@@ -71,35 +71,7 @@ def test_what_the_file_of_a_service_is(tmp_path: Path) -> None:
     assert said[-1][:2] == ("evapotranspiration", "fao56")
 
 
-def test_options_with_lists_and_dashes(tmp_path: Path) -> None:
-    """The time in two columns as in a description, and values that look like options."""
-    (tmp_path / "gauge.csv").write_text(
-        "Datum,Uhrzeit,R+S\n2024-06-01,00:00,1\n2024-06-01,01:00,-99\n2024-06-01,02:00,---\n"
-    )
-    options = (
-        "gauge.csv", "--columns", "time=[Datum, Uhrzeit]", "rain=R+S", "--units", "rain=mm",
-        "--utc-offset", "-5", "--na-values",
-    )
-    said = about(tmp_path, *options, "-99", "--na-values=---")
-    assert {("no precipitation", "2 h")} <= {row[:2] for row in said}
-    assert "begins with a dash is written as --na-values=" in weather(
-        tmp_path, *options, "---"
-    ).stderr
-
-
-def test_each_source_is_shown(tmp_path: Path) -> None:
-    """So a file in inches stands out beside one in millimetres."""
-    for name, first, rain in (("mm.csv", 1, (5.08, "")), ("inches.csv", 3, (0.2, 0.1))):
-        (tmp_path / name).write_text("time,rain [mm]\n" + "".join(
-            f"2024-06-01T{first + n:02}:00-05:00,{each}\n" for n, each in enumerate(rain)
-        ))
-    printed = " ".join(weather(tmp_path, "mm.csv", "inches.csv").stdout.replace("│", " ").split())
-    assert "mm.csv: 5.08 to 5.08, mean 5.08; 1 of 2 rows without a value" in printed
-    assert "inches.csv: 0.1 to 0.2, mean 0.15; 0 of 2 rows without a value" in printed
-
-
-def test_a_description_is_printed_and_its_keys_are_options(tmp_path: Path) -> None:
-    """The same rain by the description and by options."""
+def test_a_description_is_printed_and_completed_by_a_person(tmp_path: Path) -> None:
     (tmp_path / "gauge.csv").write_text("Zeit;Regen\n" + "".join(
         f"01.07.2024 {hour:02}:00;0,{hour}\n" for hour in range(10)
     ))
@@ -108,24 +80,8 @@ def test_a_description_is_printed_and_its_keys_are_options(tmp_path: Path) -> No
         printed.replace("time_zone: '?'", "time_zone: UTC").replace("rows: '?'", "rows: end")
         .replace("precipitation: '?'", "precipitation: mm")
     )
-    options = (
-        "gauge.csv", "--columns", "time=Zeit", "rain=Regen", "--units", "rain=mm", "--sep", ";",
-        "--decimal", ",", "--time-format", "%d.%m.%Y %H:%M", "--time-zone", "UTC", "--rows", "end",
-    )
-    for arguments in (("gauge.yaml",), options):
-        summary = next(row[2] for row in about(tmp_path, *arguments) if row[0] == "summary")
-        assert summary.startswith("rain 4.5 mm in 0.417 days from 2024-06-30 18:00-05:00")
-
-
-def test_names_of_columns_are_shown_as_they_are(tmp_path: Path) -> None:
-    """Neither markup nor an emoji nor a change of direction."""
-    names = {"x [/mm]": "x [/mm]", ":rain: \u202etsug": r":rain: \u202etsug"}
-    text = f"time,rain [mm],{','.join(names)}\n" + "".join(
-        f"2024-07-01T0{hour}:00Z,1,2,3\n" for hour in range(2)
-    )
-    (tmp_path / "gauge.csv").write_text(text, encoding="utf-8")
-    said = " ".join(row[2] for row in about(tmp_path, "gauge.csv"))
-    assert all(shown in said for shown in names.values())
+    summary = next(row[2] for row in about(tmp_path, "gauge.yaml") if row[0] == "summary")
+    assert summary.startswith("rain 4.5 mm in 0.417 days from 2024-06-30 18:00-05:00")
 
 
 def test_monthly_means_are_those_of_a_site_file(tmp_path: Path) -> None:
@@ -153,10 +109,3 @@ def test_years_are_summed(tmp_path: Path) -> None:
     file.write_text("\n".join(["time,rain [mm]", *(f"{hour}:00Z,1" for hour in hours)]))
     summary = next(row[2] for row in about(tmp_path, file) if row[0] == "summary")
     assert "(2018 5, 2019 8760, 2020 8784, 2021 739)" in summary
-
-
-def test_an_output_that_exists_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "rain.csv").write_text("time,rain [mm]\n2021-07-01T00:00Z,1\n")
-    done = weather(tmp_path, "rain.csv", "--output", "rain.csv")
-    assert (done.returncode, done.stdout) == (2, "")
-    assert done.stderr.startswith("error: --output = 'rain.csv': exists")

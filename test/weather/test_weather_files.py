@@ -9,12 +9,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 from places import CONFIG, DATA
 from refusals import refusal
 
 from greenroof_ros.analysis.calibration.csv_record import read_csv_record
 from greenroof_ros.site.file import read_site
-from greenroof_ros.weather.description import make_description
 from greenroof_ros.weather.read import read_measured
 from greenroof_ros.weather.records import Records
 
@@ -34,7 +34,11 @@ def read(directory: Path, text: str, **keys: object) -> Records:
     file = directory / "gauge.csv"
     encoding = str(keys.get("encoding", "utf-8"))
     file.write_bytes(text.encode(encoding))
-    return read_measured([file], SITE, make_description(keys) if keys else None)
+    if keys:
+        description = directory / "gauge.yaml"
+        description.write_text(yaml.safe_dump({"file": file.name, **keys}))
+        return read_measured([description], SITE)
+    return read_measured([file], SITE)
 
 
 def rain_of(directory: Path, text: str, **keys: object) -> list[float]:

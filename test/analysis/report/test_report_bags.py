@@ -513,7 +513,7 @@ def test_what_recover_makes_of_a_damaged_bag_is_reported(tmp_path: Path, recorde
     os.truncate(file, file.stat().st_size // 2)
     (run / "bag" / "metadata.yaml").write_bytes(b"\xff{[")
     refusal(report_of, run, match=f"run/bag: cannot be read as a bag.*greenroof recover {run}")
-    assert recover(run).losses
+    assert recover(run)[2]
     trajectory, _ = loaded(run)
     assert 16 <= len(trajectory.time) < 361
     assert "bag-recovered contains the data that greenroof" in page_of(report_of(run))

@@ -81,9 +81,3 @@ def test_it_drains_the_cistern_while_its_relay_is_on(
         assert shows("OFF", off)
         if flow is not None:
             assert outflow() == pytest.approx(flow, rel=0.5, abs=1e-7)
-
-
-@needs_mosquitto
-def test_a_fault_needs_a_valve(tmp_path: Path) -> None:
-    with pytest.raises(AssertionError, match="--valve-fault = 'leak': must be left out"):
-        Simulator("simulators site", "--valve-fault", "leak")
