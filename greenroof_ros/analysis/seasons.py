@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import replace
-from datetime import date, datetime, timedelta
+from datetime import date, datetime, timedelta, timezone
 from typing import TYPE_CHECKING, NamedTuple
 
 from greenroof_ros.base.errors import ConfigurationError
@@ -92,12 +92,13 @@ def find_seasons(
         try:
             run = replace(
                 inputs, site=site, weather=weather, hours=24.0 * window.days,
-                start=f"{year}-{window.first:%m-%d}T00:00", initial=None, cistern=None, roof=None,
+                start=_begin(weather, site, year, window).isoformat(), initial=None, cistern=None,
+                roof=None,
             ).build()
         except ConfigurationError as error:
             if error.file != weather.source and error.key != "start":
                 raise
-            if reason := _find_reason(weather, year, window, error):
+            if reason := _find_reason(weather, site, year, window, error):
                 incomplete[window.name(year)] = reason
         else:
             runs[window.name(year)] = run
@@ -111,21 +112,28 @@ def find_seasons(
     return runs, incomplete
 
 
+def _begin(weather: Weather, site: Site, year: int, window: Window) -> datetime:
+    """Return when a season begins: midnight of standard time, or of the record without a zone."""
+    zone = weather.first.tzinfo if site.time_zone is None else (
+        timezone(timedelta(hours=site.clock_offset))
+    )
+    return datetime(year, window.first.month, window.first.day, tzinfo=zone)
+
+
 def _find_reason(
-    weather: Weather, year: int, window: Window, error: ConfigurationError
+    weather: Weather, site: Site, year: int, window: Window, error: ConfigurationError
 ) -> str:
     """Return the reason why the season that begins in a year is incomplete.
 
     The reason is empty if the record contains no part of the season.
     """
-    zone, day = weather.first.tzinfo, window.first.replace(year=year)
-    start = datetime.combine(day, datetime.min.time(), zone)
+    start = _begin(weather, site, year, window)
     end = start + timedelta(window.days)
     if end <= weather.first or weather.end <= start:
         return ""
     if start < weather.first or weather.end < end:
         return f"the record is from {to_minutes(weather.first)} to {to_minutes(weather.end)}"
-    return f"{error.key or ''} {error.expected}".strip().partition("; ")[0]
+    return error.expected.partition("; ")[0]
 
 
 def list_notes(runs: Mapping[str, Run], site: Site) -> list[str]:

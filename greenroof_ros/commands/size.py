@@ -2,10 +2,10 @@
 
 The result is a sentence, a page for a client or a council, sizes.html, which can be printed to PDF,
 a table with one row per design and season, sizes.csv, and the figures as SVG and PNG. It states
-what it rests on. No forecast is used.
+what it rests on. No forecast of rain is used.
 
 The outlets are: none; drain, a valve that drains the cistern down to a reserve in dry weather; and
-plan, a valve that retains the water that the roof needs for 20 days. A mains top-up or an outlet
+plan, a valve that retains the water that plants take up in 20 days. A mains top-up or an outlet
 valve that the site file lacks is assumed, and the results state this.
 
 Exit codes: 0 done, 2 bad usage or configuration, 130 interrupted
@@ -24,7 +24,7 @@ from pathlib import Path
 
 from greenroof_ros.analysis.sizing.choice import KNEE
 from greenroof_ros.analysis.sizing.designs import OUTLETS, TARGETS, VOLUMES
-from greenroof_ros.analysis.sizing.results import PAGE, TABLE
+from greenroof_ros.analysis.sizing.results import MAIN, PAGE, TABLE
 from greenroof_ros.analysis.sizing.run import KNEE_RANGE, PRICES, size
 from greenroof_ros.base.command_line import (
     Parser,
@@ -40,11 +40,6 @@ from greenroof_ros.base.processes import Signals, count_cores
 from greenroof_ros.base.progress import ProgressBar
 from greenroof_ros.simulation.inputs import INPUTS
 from greenroof_ros.simulation.screen import print_weather
-
-# Results that fit a terminal.
-_PRINTED = (
-    "demand_met_share", "mains_m3", "wet_discharge_m3", "discharge_m3", "retention_share",
-)
 
 
 def make_parser() -> Parser:
@@ -123,7 +118,7 @@ def main() -> None:
         page = sizes.save(output)
     console = PlainConsole()
     console.print(sizes.sentence, style="bold")
-    table = tabulate_volumes(sizes, _PRINTED)[0]
+    table = tabulate_volumes(sizes, MAIN)[0]
     console.print_table(table.caption, table.headings(), table.texts(), table.marked)
     for note in sizes.notes:
         console.print(f"NOTE: {note}")

@@ -153,8 +153,7 @@ class WeatherSeries:
         frost: 1 during frost, 0 without frost or if the temperature is unknown, in the same ticks.
         repeats_from: time from which the last record is repeated, because the window of M ticks
             extends beyond the end of the records; None if the records extend far enough.
-        filled: names of the hours that were missing and have been filled, by quantity, during the
-            run and on the days before and after it.
+        filled: names of the hours of the run that were missing and have been filled, by quantity.
         filled_counts: number of filled hours, by quantity.
         filled_hours: number of filled hours; an hour in which more than one quantity was filled
             counts once.
@@ -205,13 +204,13 @@ class WeatherSeries:
         rain = part.precipitation[:run]
         self.precipitation_in_frost = float((frozen * rain).sum() * site.tau / 3600)
         self._summarized = weather, site, range(first, first + run)
-        days = slice(max(0, first - 24), first + run + 24)
+        hours = slice(first, first + run)
         filled = {
-            quantity: marks[days] for quantity, marks in weather.filled.items()
-            if marks[days].any()
+            quantity: marks[hours] for quantity, marks in weather.filled.items()
+            if marks[hours].any()
         }
         self.filled = {
-            quantity: name_hours(weather.first + days.start * HOUR, marks)
+            quantity: name_hours(weather.first + first * HOUR, marks)
             for quantity, marks in filled.items()
         }
         self.filled_counts = {quantity: int(marks.sum()) for quantity, marks in filled.items()}

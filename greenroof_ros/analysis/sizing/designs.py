@@ -211,8 +211,9 @@ def list_assumed(site: Site, outlets: Sequence[str]) -> list[str]:
         "overflow, and differ in their area. A season begins with the cistern half full and the "
         "roof at its target.",
         f"An on/off controller, which fills the roof to its target, decides every {TAU:g} s "
-        "whether the pump runs. No forecast is used: plan keeps the water that the roof needs "
-        "for 20 days, and makes room in dry weather.",
+        "whether the pump runs. No forecast of rain is used: plan keeps the water that plants take "
+        "up in 20 days, at the evapotranspiration of the next two days, and makes room in dry "
+        "weather.",
     ]
     if site.mains_level is None:
         notes.append(

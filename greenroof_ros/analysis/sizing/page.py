@@ -12,7 +12,15 @@ from greenroof_ros.analysis.figures import Figure, Panel, distinguish_series
 from greenroof_ros.analysis.page import Section, make_page, write_output
 from greenroof_ros.analysis.seasons import find_ranges
 from greenroof_ros.analysis.sizing.choice import MAX_LOST
-from greenroof_ros.analysis.sizing.results import BY_DESIGN, KEPT, LOST, PAGE, SHOWN, TABLE
+from greenroof_ros.analysis.sizing.results import (
+    BY_DESIGN,
+    KEPT,
+    LOST,
+    MAIN,
+    PAGE,
+    SHOWN,
+    TABLE,
+)
 from greenroof_ros.analysis.tables import Table, write_range
 
 if TYPE_CHECKING:
@@ -28,7 +36,8 @@ _RESTS_ON = ("mains_m3", "wet_discharge_m3", KEPT, "discharge_m3", LOST)
 def write_page(sizes: Sizes, directory: Path) -> Path:
     """Write the page with its figures and its table, and return its path."""
     figures = [draw_volumes(sizes), _draw_targets(sizes)]
-    html = make_page(_TITLE, sizes.sentence, list_sections(sizes, figures))
+    title = f"{_TITLE} {sizes.name}".strip()
+    html = make_page(title, sizes.sentence, list_sections(sizes, figures))
     remarks = "".join(f"# {note}\n" for note in (*sizes.notes, *sizes.read))
     table = remarks + sizes.table_of_seasons.write_csv()
     return write_output(directory, PAGE, html, figures, {TABLE: table})
@@ -38,12 +47,18 @@ def list_sections(sizes: Sizes, figures: Sequence[Figure]) -> list[Section]:
     """Return the sections of the page; the figures show the cisterns, and then the targets."""
     own, site = sizes.recommended, sizes.site
     count, seasons = len(sizes.seasons), f"{sizes.window}, {', '.join(sizes.seasons)}"
+    used = sizes.table_of_seasons.filter(**own.columns)
+    rain, on_roof, lost = used.select("rain_m3", "rain_roof_m3", LOST).mean().row(0)
     meaning = f"Numbers are those of one season, {seasons}."
     if count > 1:
         meaning = (
             f"Numbers are means of {count} seasons, with the lowest and the highest season in "
-            f"brackets ({seasons})."
+            f"brackets ({seasons}). Percentages are means of the seasons' percentages, which "
+            "differ a little from the ratios of the means."
         )
+    losing = f"plants lose at most {100 * MAX_LOST:g} %" if lost <= MAX_LOST else (
+        "plants lose the smallest part"
+    )
     value = f"less than {sizes.knee_m3:g} m³ of mains water and wet-weather discharge a season"
     if sizes.prices is not None:
         value = f"less than it costs ({sizes.prices.yearly_cistern_price:.4g} a year)"
@@ -53,17 +68,17 @@ def list_sections(sizes: Sizes, figures: Sequence[Figure]) -> list[Section]:
             for name in ("mains_m3", "wet_discharge_m3")
         ) for start in sizes.starts
     )
-    first, *others = tabulate_volumes(sizes)
+    first, *_ = tabulate_volumes(sizes, MAIN)
     return [
         Section("The recommendation", [
             f"The green roof covers {site.a2:g} m². Another {site.a_in:g} m² of roofs drain to the "
-            f"cistern, which receives {100 * site.runoff_coefficient:g} % of the rain on them. "
-            f"{meaning}",
+            f"cistern, which receives {100 * site.runoff_coefficient:g} % of the rain on them. In "
+            f"a season, {1000 * on_roof / site.a2:.0f} mm of rain falls, {rain:.3g} m³ on all of "
+            f"these roofs. {meaning}",
             f"Beyond a cistern of {own.volume:g} m³ ({1000 * own.volume / site.a2:.0f} L per m² of "
             f"green roof), another m³ saves {value}. Of the targets compared, {own.target:g} mm is "
-            f"the lowest at which plants lose at most {100 * MAX_LOST:g} % of their "
-            "evapotranspiration for lack of water, or else the one at which they lose least. A "
-            "higher target takes more water.",
+            f"the lowest at which {losing} of their evapotranspiration for lack of water. A "
+            "higher target takes more water; add what the level sensor may be wrong by.",
             f"Wet weather is the time of rain and the {site.wet_after:g} h after it. Water that "
             "the valve releases in dry weather reaches the same sewer: it counts in the discharge "
             "and in the retention, but not in the discharge in wet weather.",
@@ -77,8 +92,9 @@ def list_sections(sizes: Sizes, figures: Sequence[Figure]) -> list[Section]:
             sizes.notes,
         ]),
         Section("Other targets and outlets", [
-            _tabulate(sizes, f"Targets, {own.described_outlet}", "target", _select_targets(sizes)),
-            *others,
+            _tabulate(sizes, f"Targets, cistern {sizes.table['volume_m3'][0]:g} m³, "
+                      f"{own.described_outlet}", "target", _select_targets(sizes)),
+            *tabulate_volumes(sizes),
         ], folded=True),
         Section("What was read", [sizes.read]),
         Section("How it was made", [

@@ -26,3 +26,5 @@ SHOWN = {
     COST: Column("cost of a season", "in the currency of the prices", format_number),
 }
 """the results that are printed and drawn, by name"""
+MAIN = ("mains_m3", "wet_discharge_m3", KEPT, "discharge_m3", "retention_share")
+"""those of the main table"""

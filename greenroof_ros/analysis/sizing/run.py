@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from itertools import product
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from greenroof_ros.analysis.assumptions import list_ends
@@ -162,10 +163,10 @@ def size(
     contents, *notes = as_lines(summary)
     left_out = [f"season {name} is left out: {why}" for name, why in incomplete.items()]
     return Sizes(
-        base, rows, best, tested,
+        inputs.site.stem if isinstance(inputs.site, Path) else "", base, rows, best, tested,
         [run("other initial states", [best], filled=filled) for filled in (0.0, 1.0)],
         list(seasons), f"{window}",
-        [*plans.list_assumed(base, kinds), *_remark(reference, volume, compared)],
+        [*plans.list_assumed(base, kinds), *_remark(reference, volume, compared, base)],
         [f"{record.source}: {contents}", *notes, *list_notes(seasons, base), *left_out],
         priced, knee,
     )
@@ -201,18 +202,31 @@ def _simulate(
     return make_frame(rows, infer_schema_length=None)
 
 
-def _remark(rows: polars.DataFrame, volume: float, compared: Sequence[float]) -> list[str]:
-    """Return remarks on the recommended cistern (m3) and on the drainage of the roof."""
+def _remark(
+    rows: polars.DataFrame, volume: float, compared: Sequence[float], site: Site
+) -> list[str]:
+    """Return remarks on the recommended cistern (m3), and on what is unusual in its results."""
     remarks = [
+        "One season is too few for a recommendation: what the cistern holds at its start counts as "
+        "much as the rain.",
+    ] if len(rows) == 1 else []
+    remarks += [
         f"The recommended cistern is the {size} of those compared: {other} cisterns are worth "
         "trying." for size, other, end in (
             ("smallest", "smaller", compared[0]), ("largest", "larger", compared[-1]),
         ) if volume == end and len(compared) > 1
     ]
-    drained, fallen = rows.select("drainage_m3", "rain_roof_m3").mean().row(0)
+    drained, fallen, excess = rows.select(
+        "drainage_m3", "rain_roof_m3", "excess_starts"
+    ).mean().row(0)
     if drained > fallen:
         remarks.append(
             f"More water drains from the roof ({drained:.3g} m³ in a season) than rain falls on it "
-            f"({fallen:.3g} m³): much of the irrigation percolates. See percolation_exponent."
+            f"({fallen:.3g} m³): much of the irrigation percolates below field capacity."
+        )
+    if excess:
+        remarks.append(
+            f"The pump starts {excess:.0f} times a season more often than {site.starts_per_hour:g} "
+            "times an hour, as on/off control runs it whenever the roof is below its target."
         )
     return remarks

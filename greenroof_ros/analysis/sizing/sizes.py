@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from greenroof_ros.analysis.assumptions import End
 from greenroof_ros.analysis.seasons import find_ranges
 from greenroof_ros.analysis.sizing.choice import Prices
-from greenroof_ros.analysis.sizing.designs import Design
+from greenroof_ros.analysis.sizing.designs import NONE, Design
 from greenroof_ros.analysis.sizing.results import BY_DESIGN, KEPT, PAGE, SHOWN, TABLE
 from greenroof_ros.analysis.tables import write_range
 from greenroof_ros.base.errors import require_extra
@@ -37,6 +37,7 @@ class Sizes:
     """Targets, cisterns and outlets, compared over the seasons of a record.
 
     Attributes:
+        name: name of the site's file, without its extension; empty without a file.
         site: the site that all designs share.
         table_of_seasons: results, with a row for each design and season. The columns are named as
             in ``summary.json``, besides those of :data:`KEPT`, :data:`LOST` and :data:`COST`. First
@@ -55,6 +56,7 @@ class Sizes:
             (m3).
     """
 
+    name: str
     site: Site
     table_of_seasons: polars.DataFrame
     recommended: Design
@@ -100,8 +102,19 @@ class Sizes:
             f"{own.target:g} mm of water on the roof are recommended. In a season, {watered}"
             f"{text['wet_discharge_m3']} m³ reaches the sewer in wet weather{kept}. In all "
             f"weather, {text['discharge_m3']} m³ reaches the sewer, a retention of "
-            f"{text['retention_share']} %."
+            f"{text['retention_share']} %.{self._compare()}"
         )
+
+    def _compare(self) -> str:
+        """Return what the recommended cistern does without its valve; empty without a valve."""
+        own = self.recommended._replace(outlet=NONE)
+        plain = self.table.filter(**own.columns).to_dicts()
+        if not plain or own == self.recommended:
+            return ""
+        mains, wet = (
+            write_range(plain[0], name, SHOWN[name]) for name in ("mains_m3", "wet_discharge_m3")
+        )
+        return f" Without the valve, {mains} m³ would be mains water, and {wet} m³ wet discharge."
 
     def plot(self) -> altair.ConcatChart:
         """Return a chart of the results against the cistern's volume, with a line per outlet.
