@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-import csv
-import hashlib
-import io
+import functools
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import cache
 from pathlib import Path
+from typing import Any
+
+import polars
 
 from greenroof_ros.analysis.report.bags import (
     ReportedRun,
-    Row,
+    describe_ending,
     read_about,
     read_run,
     run_directory,
@@ -22,18 +22,17 @@ from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.files import read_text, read_yaml
 from greenroof_ros.base.text import number_of
 from greenroof_ros.results.metrics import METRICS
-from greenroof_ros.results.table import find_differing_keys, format_exactly, row_parameters
 from greenroof_ros.results.trajectory import TRAJECTORY
 from greenroof_ros.site.file import read_site
 
-_NEEDED = {
-    "run", "site", "start", "hours", "controller", "initial", "cistern_m3", "roof_m3", "status",
-    "error", "window", "case", "season",
+BOUNDS = {
+    "total_deviation_m3": "bound_m3", "wet_discharge_m3": "bound_wet_discharge_m3",
+    "mains_m3": "bound_mains_m3",
 }
-_NUMBERS = {
-    "hours", "cistern_m3", "roof_m3", "fallbacks", "filled_hours", "frost_hours", "bound_m3",
-    "bound_wet_discharge_m3", "bound_mains_m3", *(metric.name for metric in METRICS),
-}
+"""the columns of the minimum possible values, by metric"""
+
+_NEEDED = ("run", "site", "start", "initial", "status", "error", "window", "case", "season")
+_NUMBERS = {"fallbacks", "filled_hours", *BOUNDS.values(), *(metric.name for metric in METRICS)}
 
 
 @dataclass
@@ -53,137 +52,75 @@ class Sources:
     show: list[str] = field(default_factory=list)
 
 
-def find_runs(
-    paths: Sequence[Path], site_file: Path | None = None,
-    show: Callable[[str, float], None] = lambda text, share: None,
-) -> Sources:
+def find_runs(paths: Sequence[Path], site_file: Path | None = None) -> Sources:
     """Find the runs in studies, run directories and bags, and read them.
+
+    What cannot be read counts as a run without results.
 
     Args:
         paths: study directories, run directories and bags.
         site_file: site file for all bags; None to use the site file next to each bag.
-        show: callback for the progress, which receives a text and the share of the paths that have
-            been read.
 
     Raises:
-        ConfigurationError: if a path is not a study directory, a run directory or a bag, if its
-            content is invalid, or if no run has results.
+        ConfigurationError: if no run has results.
     """
-    sources, single = Sources(), dict[Path, ReportedRun]()
-    for number, path in enumerate(paths):
-        show(f"reading {path}", number / len(paths))
-        if not path.is_dir() and not (path.is_file() and path.suffix.lower() == ".mcap"):
-            raise ConfigurationError(
-                "must be the directory of a study, a run or a bag, or an .mcap file"
-                if path.exists() else "does not exist", file=path,
-            )
-        if (path / "results.csv").is_file():
-            if site_file is not None:
-                raise ConfigurationError(
-                    f"applies only to bags, but {path} is a study, which has its own sites",
-                    key="--site",
-                )
-            _read_study(path, f"{path}/" if len(paths) > 1 else "", sources)
-            continue
+    sources, names = Sources(), [run_directory(path).resolve().name for path in paths]
+    for path, name in zip(paths, names, strict=True):
+        case = name if names.count(name) == 1 else str(path)
         try:
-            single[path] = read_run(path, site_file)
-            sources.read.append(f"{path}: one run")
+            if (path / "results.csv").is_file():
+                _read_study(path, f"{path}/" if len(paths) > 1 else "", sources)
+                continue
+            run = read_run(path, site_file)
         except ConfigurationError as error:
-            if not read_about(run_directory(path)).ending:
-                raise
-            sources.failed.append((run_directory(path).resolve().name, "", str(error)))
-    _name_by_difference(single)
-    sources.runs += single.values()
+            ended = describe_ending(read_about(run_directory(path)))
+            sources.failed.append((name, case, "; ".join(filter(None, [ended, str(error)]))))
+            continue
+        run.row["case"] = case
+        sources.runs.append(run)
+        sources.read += [f"{path}: {line}" for line in run.read]
     if not sources.runs:
-        run, _, reason = sources.failed[0]
-        raise ConfigurationError(
-            f"there is no finished run; {len(sources.failed)} failed or did not run. For example, "
-            f"{run} {reason}"
-        )
+        raise ConfigurationError("; ".join([
+            f"{sources.failed[0][0]} has no results: {sources.failed[0][2]}",
+            *[f"{len(sources.failed)} runs have none"] * (len(sources.failed) > 1),
+        ]))
     return sources
 
 
-def _name_by_difference(runs: Mapping[Path, ReportedRun]) -> None:
-    """Name the cases of runs that do not belong to a study by the parameters that differ.
-
-    Runs whose windows have the same name share the window, unless their files differ.
-    """
-    windows, cases = dict[str, tuple[object, ...]](), set[tuple[str, ...]]()
-    apart = find_differing_keys([row_parameters(run.row) for run in runs.values()])
-    for path, run in runs.items():
-        row, given = run.row, row_parameters(run.row)
-        weather = sorted((run_directory(path) / "configuration" / "weather").glob("*"))
-        identity = (run.site, row["cistern_m3"], row["roof_m3"], *map(_digest, weather))
-        if windows.setdefault(row["window"], identity) != identity:
-            row["window"] += f" ({path})"
-        row["case"] = " ".join([row["controller"], *(
-            f"{key} {format_exactly(given[key]) if isinstance(given[key], float) else given[key]}"
-            for key in apart if key in given
-        )])
-        if (case := (row["window"], row["initial"], row["case"])) in cases:
-            row["case"] += f" ({path})"
-        cases.add(case)
-
-
-def _digest(*files: Path) -> str:
-    """Return the first digits of the SHA-256 of some files, which identify them."""
-    content = b"".join(file.read_bytes() for file in files)
-    return hashlib.sha256(content).hexdigest()[:12]
-
-
 def _read_study(path: Path, prefix: str, sources: Sources) -> None:
-    """Add the runs of a study, with a prefix added to their names and windows."""
+    """Add the runs of a study, with a prefix added to their windows."""
     configuration, weather = path / "configuration", path / "configuration" / "weather.yaml"
-    read = cache(read_site)  # hundreds of runs can share a file
-    rows = _read_results(path / "results.csv")
+    read = functools.cache(read_site)  # hundreds of runs can share a file
+    rows = _read_table(path / "results.csv")
     for row in rows:
-        trajectory = path / "runs" / row["run"] / TRAJECTORY
-        row |= {"run": prefix + row["run"], "window": prefix + row["window"]}
+        row["window"] = prefix + row["window"]
         if row["status"] == "done":
-            sources.runs.append(ReportedRun(
-                site=read(configuration / row["site"]), row=row,
-                kept=trajectory if trajectory.exists() else None,
-            ))
+            kept = path / "runs" / row["run"] / TRAJECTORY
+            site = read(configuration / row["site"])
+            sources.runs.append(ReportedRun(site, row, kept if kept.exists() else None))
         else:
-            case = ", ".join([row["case"], row["initial"], row["window"]])
+            case = ", ".join([row["case"], row["window"], f"from {row['initial']}"])
             sources.failed.append((row["run"], case, row["error"] or row["status"]))
-    inputs = [file for file in sorted(configuration.glob("*")) if file != weather]
-    sources.read.append(
-        f"{path}: {number_of(len(rows), 'run')}, results.csv {_digest(path / 'results.csv')}; "
-        f"{number_of(len(inputs), 'input file')}, {_digest(*inputs)} (SHA-256 of all)"
-    )
+    sources.read.append(f"{path / 'results.csv'}: {number_of(len(rows), 'run')}")
     if weather.is_file():
         for name, lines in read_yaml(weather).items():
             sources.read += [f"{name}: {line}" for line in lines]
     study = configuration / "study.json"
-    asked = json.loads(read_text(study)).get("show", []) if study.is_file() else []
-    sources.show = sources.show or asked
+    if study.is_file() and not sources.show:
+        sources.show = json.loads(read_text(study)).get("show", [])
 
 
-def _read_results(file: Path) -> list[Row]:
-    """Return the rows of a study's table; an empty cell of a numeric column becomes None.
+def _read_table(file: Path) -> list[dict[str, Any]]:
+    """Return the rows of a study's table; an empty cell becomes None.
 
     Raises:
         ConfigurationError: if the file is not a study's table, or is damaged.
     """
-    table = csv.DictReader(io.StringIO(read_text(file)), restkey="further cells", restval="cut")
-    if missing := _NEEDED - set(table.fieldnames or ()):
+    try:
+        table = polars.read_csv(file, infer_schema=False)
+        numbers = _NUMBERS.intersection(table.columns)
+        return table.with_columns(*_NEEDED, polars.col(numbers).cast(polars.Float64)).to_dicts()
+    except polars.exceptions.PolarsError as error:
         raise ConfigurationError(
-            f"has no column {', '.join(sorted(missing))}; if it is the results.csv of a study, "
-            "repeat the command greenroof study, which writes the table again", file=file, line=1,
-        )
-    rows = list[Row]()
-    for cells in table:
-        row: Row = dict(cells)
-        for column in _NUMBERS.intersection(cells):
-            try:
-                row[column] = float(cells[column]) if cells[column] else None
-            except ValueError as error:
-                raise ConfigurationError(
-                    "is not a number; copy the table again", file=file, line=table.line_num,
-                    key=column, value=cells[column],
-                ) from error
-        rows.append(row)
-    if not rows:
-        raise ConfigurationError("contains a header but no runs", file=file)
-    return rows
+            f"is not the table of a study: {str(error).splitlines()[0]}", file=file
+        ) from error
