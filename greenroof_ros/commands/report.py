@@ -51,7 +51,7 @@ def main() -> None:
         from greenroof_ros.analysis.report.cases import Report
         from greenroof_ros.analysis.report.figures import make_figures
         from greenroof_ros.analysis.report.page import answer, render
-        from greenroof_ros.analysis.report.sources import find_runs
+        from greenroof_ros.analysis.report.runs import find_runs
     output: Path = arguments.output or arguments.paths[0] / "report"
     with ProgressBar() as progress:
         progress.show("reading", 0.0)
@@ -62,5 +62,5 @@ def main() -> None:
         page = write_output(output, _PAGE, render(report, figures), figures)
     print(escape(answer(report)))
     if failed := len(report.sources.failed):
-        print(f"runs that failed or were not started: {failed}; the report lists them")
+        print(f"runs that failed or did not finish: {failed}; the report lists them")
     print(escape(f"written to {page.resolve()}"))

@@ -27,7 +27,7 @@ from places import CHECKOUT, CONFIG
 from refusals import refusal
 
 import greenroof_ros as gr
-from greenroof_ros.analysis.report.sources import find_runs
+from greenroof_ros.analysis.report.runs import find_runs
 from greenroof_ros.api.simulate import ForecastSteps, SiteState
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.controllers.anticipating_onoff import AnticipatingOnOff

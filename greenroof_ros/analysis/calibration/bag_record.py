@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from greenroof_ros.analysis.calibration.step_record import StepRecord, Values
-from greenroof_ros.analysis.report.bags import read_about, run_directory
+from greenroof_ros.analysis.report.runs import read_about, run_directory
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.results.bag_read import load_bag
 from greenroof_ros.site.file import read_site

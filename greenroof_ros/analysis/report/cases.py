@@ -7,13 +7,11 @@ from typing import Any
 
 import polars
 
-from greenroof_ros.analysis.report.sources import BOUNDS, Sources
+from greenroof_ros.analysis.report.runs import BOUNDS, MAINS, TOTAL, WET, Sources
 from greenroof_ros.analysis.tables import COLUMNS, format_range
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.results.forked_polars import make_frame
 
-TOTAL, WET, MAINS = BOUNDS
-"""the metrics that have a bound"""
 # Metrics of which more is better.
 _MORE = {
     "near_target_hours", "evapotranspiration_ratio", "roof_retention_share", "demand_met_share",

@@ -11,7 +11,8 @@ from typing import Any
 from greenroof_ros.analysis.assumptions import list_ends
 from greenroof_ros.analysis.figures import Figure
 from greenroof_ros.analysis.page import Part, Section, make_page
-from greenroof_ros.analysis.report.cases import BOUNDS, WET, Report, rank, write_range
+from greenroof_ros.analysis.report.cases import Report, rank, write_range
+from greenroof_ros.analysis.report.runs import BOUNDS, WET
 from greenroof_ros.analysis.tables import COLUMNS, Table, write
 from greenroof_ros.base.text import number_of
 from greenroof_ros.results.metrics import METRICS
@@ -35,18 +36,11 @@ def render(report: Report, figures: Sequence[Figure]) -> str:
         report: the results.
         figures: figures in the order in which they appear.
     """
-    runs, failed = report.sources.runs, report.sources.failed
-    warnings = [
-        *(f"{run.row['case']} {run.row['error']}: its results are for the recorded part only"
-          for run in runs if run.row["error"]),
-        *[f"{len(failed)} of {len(failed) + len(runs)} runs have no results"] * bool(failed),
-    ]
+    failed = Table("Runs that failed or did not finish", ("run", "reason"), report.sources.failed)
     sections = [
-        Section("Results", [*[warnings] * bool(warnings), make_table(report), *figures]),
+        Section(failed.caption, [failed] * bool(failed.rows)),
+        Section("Results", [make_table(report), *figures]),
         Section("All results", [make_full_table(report)]),
-        Section("Runs without results", [
-            Table("Runs without results", ("run", "case", "reason"), failed)
-        ] * bool(failed)),
         Section("What it rests on", [make_notes(report), _list_assumptions(report)]),
         Section("What was read", [report.sources.read], folded=True),
         Section("How it was made", [
@@ -55,37 +49,35 @@ def render(report: Report, figures: Sequence[Figure]) -> str:
             "seeds. Cases are compared only for the same period and initial state.",
         ]),
     ]
-    title = f"Report on {number_of(len(runs), 'run')}"
+    title = f"Report on {number_of(len(report.sources.runs), 'run')}"
     return make_page(title, answer(report), [each for each in sections if each.parts])
 
 
 def answer(report: Report) -> str:
     """Return the answer: the best cases, what one of them achieves, and what the runs cover."""
-    runs, name = report.sources.runs, report.show[0]
-    (best, *others), *_ = (place.to_dicts() for place in report.places)
-    sentences = ["; ".join(
+    runs, name, won = report.sources.runs, report.show[0], dict[str, list[str]]()
+    for place in report.places:
+        won.setdefault(place["case"][0], []).append(place["place"][0])
+    best, *others = report.places[0].to_dicts()
+    sentences = ["Best by {}: {}".format(COLUMNS[name].label, ", ".join(
+        case + f" ({'; '.join(places)})" * bool(places[0]) for case, places in won.items()
+    )), f"For {best['place']}: ".replace("For :", "Means:") + "; ".join(
         f"{COLUMNS[each].label} {write_range(best, each)} {COLUMNS[each].unit}".rstrip()
         for each in _columns(report)
     )]
-    if others or len(report.places) > 1:
-        won: dict[str, list[str]] = {}
-        for place in report.places:
-            won.setdefault(place["case"][0], []).append(place["place"][0])
-        sentences = [f"Best by {COLUMNS[name].label}: " + ", ".join(
-            case + f" ({'; '.join(places)})" * bool(places[0]) for case, places in won.items()
-        ), f"{f'For {where}' if (where := best['place']) else 'Means'}: {sentences[0]}"]
-        sentences += [
-            f"With {case['case']}: {write_range(case, name)} {COLUMNS[name].unit}".rstrip()
-            for case in others if case["case"] == runs[0].row["case"]
-        ]
+    sentences += [
+        f"With {case['case']}: {write_range(case, name)} {COLUMNS[name].unit}".rstrip()
+        for case in others if case["case"] == runs[0].row["case"]
+    ]
+    sites = {run.row["site"]: run.site for run in runs}
+    places = {f"{site.latitude}, {site.longitude}" for site in sites.values()} - {"None, None"}
     years = report.years["year"].drop_nulls()
-    places = {f"{run.site.latitude:g}, {run.site.longitude:g}" for run in runs
-              if run.site.latitude is not None and run.site.longitude is not None}
-    return ". ".join([*sentences, ", ".join([
-        f"Sites: {', '.join(sorted({run.row['site'] for run in runs}))}",
-        *[f"at latitude and longitude {'; '.join(sorted(places))}"] * bool(places),
-        *[f"seasons of {years.min()} to {years.max()}"] * bool(len(years)),
-    ])]) + "."
+    covered = [
+        f"site file {next(iter(sites))}" if len(sites) == 1 else number_of(len(sites), "site file"),
+        *[f"latitude and longitude {'; '.join(sorted(places))}"] * bool(places),
+        *[f"seasons of {years.min()!r} to {years.max()!r}"] * bool(len(years)),
+    ]
+    return ". ".join([*sentences, f"Covered: {', '.join(covered)}"]) + "."
 
 
 def _columns(report: Report) -> list[str]:
@@ -97,27 +89,26 @@ def _columns(report: Report) -> list[str]:
 def make_table(report: Report) -> Table:
     """Return the main table: the shown metrics of all cases, and the minimum possible values."""
     names, rows, marked = _columns(report), list[list[Any]](), set[int]()
-    several = len(report.places) > 1
     for place in report.places:
         ranks = place.select(map(rank, report.show)).fill_null(math.inf).to_numpy()
-        better = (ranks <= ranks[:, None]).all(axis=2) & (ranks < ranks[:, None]).any(axis=2)
-        marked |= {len(rows) + index for index, each in enumerate(better) if not each.any()}
-        where = [place["place"][0]] * several
+        marked |= {len(rows) + index for index, own in enumerate(ranks) if not any(
+            (ranks <= own).all(axis=1) & (ranks < own).any(axis=1)
+        )}
+        cases = place.to_dicts()
         rows += [
-            [case["case"], *where, *(write_range(case, name) for name in names), case["runs"]]
-            for case in place.to_dicts()
+            [case["case"], case["place"], *(write_range(case, name) for name in names),
+             case["runs"]] for case in cases
         ]
-        bounds = [place.to_dicts()[0].get(BOUNDS.get(name, "")) for name in names]
+        bounds = [cases[0].get(BOUNDS.get(name, "")) for name in names]
         if any(each is not None for each in bounds):
-            rows.append(["minimum possible", *where, *(
+            rows.append(["minimum possible", cases[0]["place"], *(
                 "" if each is None else write(each, COLUMNS[name])
                 for name, each in zip(names, bounds, strict=True)
             ), ""])
     return Table(
         "Means (lowest to highest run), sorted by the first result; bold: no other case is better "
-        "in all shown results",
-        ["case", *["place"] * several, *(COLUMNS[name] for name in names), "runs"], rows,
-        frozenset(marked),
+        "in all shown results", ["case", "place", *(COLUMNS[name] for name in names), "runs"],
+        rows, frozenset(marked),
     )
 
 
@@ -151,12 +142,12 @@ def make_notes(report: Report) -> list[str]:
 def _list_assumptions(report: Report) -> Table:
     """Return the assumptions that matter, with both ends."""
     sites = {run.site for run in report.sources.runs}
-    known = dict.fromkeys(end.assumption for site in sites for end in list_ends(site))
     return Table(
         "Assumptions: the range in which each probably lies",
         ["assumption", "low", "used", "high", "source of the range"], [
             [each.label, f"{each.low:g}", ", ".join(
                 f"{value:g}" for value in sorted({getattr(site, each.name) for site in sites})
-            ), f"{each.high:g}", each.source] for each in known
+            ), f"{each.high:g}", each.source]
+            for each in dict.fromkeys(end.assumption for site in sites for end in list_ends(site))
         ],
     )

@@ -2,22 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from datetime import datetime, timezone
+from collections.abc import Callable, Mapping
+from datetime import timezone
 from typing import Any
 
 import altair as alt
 import numpy as np
 from numpy.typing import NDArray
 
-from greenroof_ros.analysis.figures import (
-    CONFIG,
-    Panel,
-    PictureColumn,
-    Rows,
-    distinguish_series,
-    round_value,
-)
+from greenroof_ros.analysis import figures
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.times import to_minutes
 from greenroof_ros.results.trajectory import Trajectory
@@ -33,6 +26,25 @@ _WIDTH, _HEIGHT, _RAIN_HEIGHT = 640, 130, 70
 # Room for the numbers of an axis, so that the axes of a column are in line.
 _EXTENT = 44
 _RAIN, _SEWER = "rain (mm/h)", "to the sewer (L/s)"
+
+# The curve of each panel, by its title.
+_CURVES: dict[str, Callable[[Site, Trajectory], NDArray[np.float64]]] = {
+    _RAIN: lambda site, run: 3.6e6 * run.precipitation,
+    "roof level (mm)": lambda site, run: 1000 / site.a2 * run.roof,
+    "cistern level (m)": lambda site, run: run.cistern / site.a1,
+    "pump flow (L/s)": lambda site, run: 1000 * run.pump_flow,
+    _SEWER: lambda site, run: 1000 * (
+        run.outflow + (1 - site.drainage_to_cistern) * run.drainage
+    ),
+}
+# The reference levels of a panel; None for what a site does not have.
+_LEVELS: dict[str, Callable[[Site], dict[str, float | None]]] = {
+    "roof level (mm)": lambda site: {"target": 1000 * site.x2_star / site.a2},
+    "cistern level (m)": lambda site: {
+        "overflow": site.z_o, "suction limit": site.suction_level,
+        "low outlet": site.low_outlet_level,
+    },
+}
 
 
 def select_samples(values: NDArray[np.float64]) -> NDArray[np.intp]:
@@ -50,26 +62,7 @@ def select_samples(values: NDArray[np.float64]) -> NDArray[np.intp]:
     return np.unique(np.minimum(np.concatenate([*extremes, [0, count - 1]]), count - 1))
 
 
-def _draw(site: Site, run: Trajectory) -> dict[str, tuple[NDArray[np.float64], dict[str, Any]]]:
-    """Return the curve of each panel, and its reference levels, None for those that do not exist.
-
-    The run ends at the last sample: its flows never held, so the values before it are drawn.
-    """
-    sewer = run.outflow + (1 - site.drainage_to_cistern) * run.drainage
-    flows = {_RAIN: 3.6e6 * run.precipitation, "pump flow (L/s)": 1000 * run.pump_flow,
-             _SEWER: 1000 * sewer}
-    curves = {name: (np.append(flow[:-1], flow[-2:-1]), {}) for name, flow in flows.items()}
-    return {
-        _RAIN: curves[_RAIN],
-        "roof level (mm)": (1000 / site.a2 * run.roof, {"target": 1000 * site.x2_star / site.a2}),
-        "cistern level (m)": (run.cistern / site.a1, {
-            "overflow": site.z_o, "suction limit": site.suction_level,
-            "low outlet": site.low_outlet_level,
-        }), **curves,
-    }
-
-
-def draw_over_time(runs: Mapping[str, tuple[Site, Trajectory]]) -> list[Panel]:
+def draw_over_time(runs: Mapping[str, tuple[Site, Trajectory]]) -> list[figures.Panel]:
     """Return a panel for rain, roof, cistern and pump, and for the sewer if water flows there.
 
     Args:
@@ -77,52 +70,54 @@ def draw_over_time(runs: Mapping[str, tuple[Site, Trajectory]]) -> list[Panel]:
             run; the time axis begins with the first run, in its time zone. Reference levels are
             drawn if the sites are the same.
     """
-    (site, begun), *others = runs.values()
+    (site, first), *others = runs.values()
     longest = max(runs, key=lambda name: float(runs[name][1].time[-1]))
     hours = runs[longest][1].time[-1] / 3600
-    x = alt.X(
-        "t:T", title=f"from {begun.start:%-d %B %Y}, UTC{begun.start.isoformat()[-6:]}",
-        scale=alt.Scale(type="utc", nice=False), axis=alt.Axis(
-            tickCount=5, labelOverlap=True,
-            format="%-d %b %H:%M" if hours <= _MAX_HOURS else "%-d %b",
-        ),
+    axis = alt.Axis(
+        tickCount=5, labelOverlap=True,
+        format="%-d %b %H:%M" if hours <= _MAX_HOURS else "%-d %b",
     )
-    curves, panels = {name: _draw(*run) for name, run in runs.items()}, []
-    for title, (_, levels) in curves[longest].items():
-        rows: Rows = []
+    x = alt.X(
+        "t:T", title=f"from {first.start:%-d %B %Y}, UTC{first.start.isoformat()[-6:]}", axis=axis,
+        scale=alt.Scale(type="utc", nice=False),
+    )
+    panels = []
+    for title, curve in _CURVES.items():
+        rows: figures.Rows = []
         for name in [longest] if title == _RAIN else runs:
-            run, values = runs[name][1], curves[name][title][0]
-            index = select_samples(values)
+            own, run = runs[name]
+            values = curve(own, run)
+            if title not in _LEVELS:  # flows after the last sample never held
+                values = np.append(values[:-1], values[-2:-1])
             # Local time as if it were UTC, so that every browser shows it.
-            local = run.start.astimezone(begun.start.tzinfo).replace(tzinfo=timezone.utc)
+            start = run.start.astimezone(first.start.tzinfo).replace(tzinfo=timezone.utc)
             rows += [
-                {"case": name, "t": 1000 * (local.timestamp() + time), "v": round_value(value)}
-                for time, value in zip(run.time[index].tolist(), values[index].tolist(), strict=True)
+                {"case": name, "t": 1000 * (start.timestamp() + float(run.time[index])),
+                 "v": figures.round_value(float(values[index]))} for index in select_samples(values)
             ]
         if title == _SEWER and not any(row["v"] for row in rows):
             continue
-        # Rain hangs from the top, as is usual in hydrology.
         y = alt.Y("v:Q", title=title, scale=alt.Scale(
-            zero="level" not in title, nice=False, padding=10, reverse=title == _RAIN,
+            # Rain hangs from the top, as is usual in hydrology.
+            zero=title not in _LEVELS, nice=False, padding=10, reverse=title == _RAIN,
         ))
-        chart = alt.Chart(alt.InlineData(rows)).encode(x=x, y=y)
+        chart: Any = alt.Chart(alt.InlineData(rows)).encode(x=x, y=y)
         if title == _RAIN:
             area = chart.mark_area(interpolate="step-after", line={"color": "#0072B2"})
-            panels.append(Panel(area.encode(color=alt.value("#56B4E9")), "", _RAIN_HEIGHT))
+            panels.append(figures.Panel(area.encode(color=alt.value("#56B4E9")), "", _RAIN_HEIGHT))
             continue
-        marks = [{"v": value, "text": text} for text, value in levels.items() if value is not None]
-        rule = alt.Chart(alt.InlineData(marks if [site] * len(others) == [
-            other for other, _ in others
-        ] else [])).encode(y=y)
-        lines = chart.mark_line(strokeWidth=1.6).encode(
-            **distinguish_series("case", list(runs) if others else [])
+        chart = chart.mark_line(strokeWidth=1.6).encode(
+            **figures.distinguish_series("case", list(runs) if others else [])
         )
-        panels.append(Panel(alt.layer(
-            rule.mark_rule(color="#555555", strokeDash=[3, 2]),
-            rule.mark_text(align="right", baseline="bottom", dx=-4, dy=-2, color="#333333").encode(
-                x=alt.XValue("width"), text="text:N"
-            ), lines,
-        ), "", _HEIGHT))
+        if title in _LEVELS and all(other == site for other, _ in others):
+            levels = _LEVELS[title](site).items()
+            rule: Any = alt.Chart(alt.InlineData(
+                [{"v": value, "text": text} for text, value in levels if value is not None]
+            )).encode(y=y)
+            chart = rule.mark_rule(color="#555555", strokeDash=[3, 2]) + rule.mark_text(
+                align="right", baseline="bottom", dx=-4, dy=-2
+            ).encode(x=alt.XValue("width"), text="text:N") + chart
+        panels.append(figures.Panel(chart, "", _HEIGHT))
     return panels
 
 
@@ -142,10 +137,9 @@ def overlay_simulations(simulations: Mapping[str, tuple[Site, Trajectory]]) -> a
                 f"begins at {to_minutes(run.start)}, but {first} begins at {to_minutes(start)}: "
                 "all runs in a chart must begin at the same time", key=name,
             )
-    panels = draw_over_time(simulations)
-    chart: alt.VConcatChart = PictureColumn(
-        vconcat=[panel.sized(_WIDTH) for panel in panels], spacing=10
+    chart: alt.VConcatChart = figures.PictureColumn(
+        vconcat=[panel.sized(_WIDTH) for panel in draw_over_time(simulations)], spacing=10
     ).resolve_scale(x="shared", color="shared", strokeDash="shared").configure(
-        **CONFIG
+        **figures.CONFIG
     ).configure_axisY(minExtent=_EXTENT)
     return chart
