@@ -10,7 +10,7 @@ import functools
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from datetime import datetime
+from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
 
@@ -125,8 +125,9 @@ def find_runs(paths: Sequence[Path], site_file: Path | None = None) -> Sources:
         else:
             run.row["case"] = case
             sources.runs.append(run)
-            settings = about.get("controller", "unknown"), about.get("parameters") or "no summary"
-            sources.read.append(f"{path}: {settings[0]}, {settings[1]}")
+            settings = {"controller": about.get("controller"), **about.get("parameters", {})}
+            texts = (f"{name} {value}" for name, value in settings.items() if value is not None)
+            sources.read.append(f"{path}: {', '.join(texts) or 'no summary'}")
         if (status := about.get("status", summary.DONE)) != summary.DONE:
             ended = f"{status}, {' '.join((about.get('reason') or 'no reason known').split())}"
             reason = f"{ended}; {reason or 'its results are for the recorded part only'}"
@@ -199,9 +200,10 @@ def read_run(path: Path, site: Path | Site | None = None) -> ReportedRun:
     if not isinstance(site, Site):
         own = run / "configuration" / summary.SITE_FILE
         if site is None and not own.is_file():
-            notes.append("there is no site file beside the bag: the paper's site is assumed")
+            notes.append("there is no site file beside the bag: the paper's site, and UTC, assumed")
         file = site or (own if own.is_file() else default_site_file())
         site, name = read_site(file), file.name
+    zone = timezone.utc if notes else site.zone
     results, unknown, trajectory = summary_columns(about), frozenset[str](), None
     start = datetime.fromisoformat(about.get("start", "1970-01-01"))
     hours = about.get("steps", 0) * about.get("tau_s", 0) / 3600
@@ -213,7 +215,7 @@ def read_run(path: Path, site: Path | Site | None = None) -> ReportedRun:
     kept = next((path / name for name in (TRAJECTORY, CSV) if (path / name).is_file()), None)
     if bag.is_file() or (bag / METADATA).is_file() or any(bag.glob("*.mcap")):
         trajectory, further, unknown = load_bag(
-            bag, site, start.tzinfo or site.zone, repair=repair,
+            bag, site, start.tzinfo or zone, repair=repair,
             own=bool(about) and "drive_at" not in about,  # live sensors can report anything
             external_pump="/pump/flow" in about.get("refused", {}),
         )

@@ -66,9 +66,9 @@ def draw_over_time(runs: Mapping[str, tuple[Site, Trajectory]]) -> list[figures.
     """Return a panel for rain, roof, cistern and pump, and for the sewer if water flows there.
 
     Args:
-        runs: sites and trajectories, by the names of their lines. The rain is that of the longest
-            run; the time axis begins with the first run, in its time zone. Reference levels are
-            drawn if the sites are the same.
+        runs: sites and trajectories of at least two samples, by the names of their lines. The rain
+            is that of the longest run; the time axis begins with the first run, in its time zone.
+            Reference levels are drawn if the sites are the same.
     """
     (site, first), *others = runs.values()
     longest = max(runs, key=lambda name: float(runs[name][1].time[-1]))
@@ -88,7 +88,7 @@ def draw_over_time(runs: Mapping[str, tuple[Site, Trajectory]]) -> list[figures.
             own, run = runs[name]
             values = curve(own, run)
             if title not in _LEVELS:  # flows after the last sample never held
-                values = np.append(values[:-1], values[-2:-1])
+                values = np.append(values[:-1], values[-2])
             # Local time as if it were UTC, so that every browser shows it.
             start = run.start.astimezone(first.start.tzinfo).replace(tzinfo=timezone.utc)
             rows += [

@@ -50,5 +50,5 @@ def test_pages_are_readable_at_any_width(tmp_path: Path) -> None:
             assert first.evaluate(left) == pytest.approx(box.evaluate(left), abs=2)
             assert {url.partition(":")[0] for url in asked} <= {"file", "data"}
             if path == run:
-                assert page.locator("li", has_text="SIGKILL").first.is_visible()
+                assert page.locator("td", has_text="SIGKILL").first.is_visible()
             page.close()
