@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from greenroof_ros.results.metrics import METRICS, Metric
@@ -69,10 +69,17 @@ def format_number(value: float) -> str:
     return f"{value:.0f}" if abs(rounded) >= 100 else f"{rounded:g}"
 
 
-def format_range(mean: float, low: float, high: float, column: Column) -> str:
+def format_range(
+    mean: float | None, low: float | None, high: float | None, column: Column
+) -> str:
     """Return a mean with the lowest and the highest value: ``3.5 (1.2 to 7.9)``."""
     texts = [write(value, column) for value in (mean, low, high)]
     return texts[0] if texts[1] == texts[2] else f"{texts[0]} ({texts[1]} to {texts[2]})"
+
+
+def write_range(row: Mapping[str, Any], name: str, column: Column) -> str:
+    """Return a result of a row with its range, whose columns end in ``_min`` and ``_max``."""
+    return format_range(row[name], row[f"{name}_min"], row[f"{name}_max"], column)
 
 
 def _describe(metric: Metric) -> Column:

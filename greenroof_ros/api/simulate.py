@@ -533,7 +533,7 @@ class Comparison:
         If the sites differ, the chart contains no lines for the target and the cistern levels.
 
         Raises:
-            ConfigurationError: if the runs begin at different times, or if altair is not installed.
+            ConfigurationError: if altair is not installed.
 
         Example:
             >>> import greenroof_ros as gr

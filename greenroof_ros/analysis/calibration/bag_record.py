@@ -65,7 +65,7 @@ def read_bag_record(bag: Path, site: Site) -> StepRecord:
     first = np.searchsorted(trajectory.time, edges[:-1], side="right") - 1
     reference = summed(trajectory.evapotranspiration) * mm
     run = run_directory(bag)
-    if read_about(run).row["evapotranspiration"] in COMPUTED:
+    if read_about(run).get("evapotranspiration_method") in COMPUTED:
         own = run / "configuration" / "site.yaml"
         reference /= (read_site(own) if own.is_file() else site).crop_coefficient
     if not np.any(reference > 0):

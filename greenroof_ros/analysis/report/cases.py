@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
-
 import polars
 
 from greenroof_ros.analysis.report.runs import BOUNDS, MAINS, TOTAL, WET, Sources
-from greenroof_ros.analysis.tables import COLUMNS, format_range
+from greenroof_ros.analysis.tables import COLUMNS
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.results.forked_polars import make_frame
 
@@ -30,7 +27,7 @@ class Report:
             null for runs of no season.
         places: a table for each window and initial state, with a row for each case, the best first:
             ``case``; ``place``, in what the window and the state differ from the others; the mean
-            of each metric, with the lowest and the highest run in ``..._low`` and ``..._high``; the
+            of each metric, with the lowest and the highest run in ``..._min`` and ``..._max``; the
             number of ``runs``, and the index of the ``first`` one.
     """
 
@@ -67,7 +64,7 @@ class Report:
         self.years = rows.group_by(*case, "year", maintain_order=True).agg(values.mean())
         means = self.years.group_by(case, maintain_order=True).agg(values.mean())
         ranges = rows.group_by(case).agg(
-            values.min().name.suffix("_low"), values.max().name.suffix("_high"),
+            values.min().name.suffix("_min"), values.max().name.suffix("_max"),
             polars.len().alias("runs"), polars.col("first").first(),
         )
         self.places = [
@@ -81,10 +78,3 @@ class Report:
 def rank(metric: str) -> polars.Expr:
     """Return a number that is the lower, the better a metric is."""
     return -polars.col(metric) if metric in _MORE else polars.col(metric)
-
-
-def write_range(case: Mapping[str, Any], name: str) -> str:
-    """Return the result of a case with its range."""
-    if case[name] is None:
-        return "none"
-    return format_range(case[name], case[f"{name}_low"], case[f"{name}_high"], COLUMNS[name])

@@ -65,8 +65,8 @@ def _compare(place: polars.DataFrame, report: Report) -> figures.Panel:
         x=_axis(alt.X, x), y=_axis(alt.Y, y), color=points["color"]
     )
     return figures.Panel(alt.layer(
-        base.mark_rule(opacity=0.5).encode(x=f"{x}_low:Q", x2=f"{x}_high:Q"),
-        base.mark_rule(opacity=0.5).encode(y=f"{y}_low:Q", y2=f"{y}_high:Q"),
+        base.mark_rule(opacity=0.5).encode(x=f"{x}_min:Q", x2=f"{x}_max:Q"),
+        base.mark_rule(opacity=0.5).encode(y=f"{y}_min:Q", y2=f"{y}_max:Q"),
         base.mark_point(filled=True, opacity=1, size=80).encode(**points),
     ), place["place"][0], 280)
 

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from textwrap import shorten
 from typing import Any
 
 from greenroof_ros.analysis.assumptions import list_ends
 from greenroof_ros.analysis.figures import Figure
 from greenroof_ros.analysis.page import Part, Section, make_page
-from greenroof_ros.analysis.report.cases import Report, rank, write_range
+from greenroof_ros.analysis.report.cases import Report, rank
 from greenroof_ros.analysis.report.runs import BOUNDS, WET
-from greenroof_ros.analysis.tables import COLUMNS, Table, write
+from greenroof_ros.analysis.tables import COLUMNS, Table, write, write_range
 from greenroof_ros.base.text import number_of
 from greenroof_ros.results.metrics import METRICS
 
@@ -59,15 +59,17 @@ def answer(report: Report) -> str:
     for place in report.places:
         won.setdefault(place["case"][0], []).append(place["place"][0])
     best, *others = report.places[0].to_dicts()
-    sentences = ["Best by {}: {}".format(COLUMNS[name].label, ", ".join(
+    winners = ", ".join(
         case + f" ({'; '.join(places)})" * bool(places[0]) for case, places in won.items()
-    )), f"For {best['place']}: ".replace("For :", "Means:") + "; ".join(
-        f"{COLUMNS[each].label} {write_range(best, each)} {COLUMNS[each].unit}".rstrip()
-        for each in _columns(report)
-    )]
+    )
+    sentences = [f"Best by {COLUMNS[name].label}: {winners}"] * (len(runs) > 1) + [
+        f"For {best['place'] or best['case']}: " + "; ".join(
+            f"{COLUMNS[each].label} {_write(best, each)}" for each in _columns(report)
+        )
+    ]
     sentences += [
-        f"With {case['case']}: {write_range(case, name)} {COLUMNS[name].unit}".rstrip()
-        for case in others if case["case"] == runs[0].row["case"]
+        f"With {case['case']}: {_write(case, name)}" for case in others
+        if case["case"] == runs[0].row["case"]
     ]
     sites = {run.row["site"]: run.site for run in runs}
     places = {f"{site.latitude}, {site.longitude}" for site in sites.values()} - {"None, None"}
@@ -78,6 +80,12 @@ def answer(report: Report) -> str:
         *[f"seasons of {years.min()!r} to {years.max()!r}"] * bool(len(years)),
     ]
     return ". ".join([*sentences, f"Covered: {', '.join(covered)}"]) + "."
+
+
+def _write(case: Mapping[str, Any], name: str) -> str:
+    """Return a result of a case with its range and unit."""
+    column = COLUMNS[name]
+    return f"{write_range(case, name, column)} {column.unit}".rstrip()
 
 
 def _columns(report: Report) -> list[str]:
@@ -96,8 +104,9 @@ def make_table(report: Report) -> Table:
         )}
         cases = place.to_dicts()
         rows += [
-            [case["case"], case["place"], *(write_range(case, name) for name in names),
-             case["runs"]] for case in cases
+            [case["case"], case["place"],
+             *(write_range(case, name, COLUMNS[name]) for name in names), case["runs"]]
+            for case in cases
         ]
         bounds = [cases[0].get(BOUNDS.get(name, "")) for name in names]
         if any(each is not None for each in bounds):
@@ -119,7 +128,7 @@ def make_full_table(report: Report) -> Part:
         return "All results of every run are in results.csv of the study."
     labels = [f"{case['case']}, {case['place']}".rstrip(", ") for case in cases]
     return Table("Means (lowest to highest run)", ["result", *labels], [
-        [COLUMNS[name].heading, *(write_range(case, name) for case in cases)]
+        [COLUMNS[name].heading, *(write_range(case, name, COLUMNS[name]) for case in cases)]
         for name in report.metrics
     ])
 

@@ -16,14 +16,14 @@ from typing import Any
 
 import polars
 
-from greenroof_ros.analysis.report.recorded import compute_results
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.files import default_site_file, read_text, read_yaml
 from greenroof_ros.base.text import number_of
 from greenroof_ros.base.times import to_minutes
 from greenroof_ros.results.bag_read import load_bag
-from greenroof_ros.results.bag_write import METADATA, name_recovered_bag
+from greenroof_ros.results.bag_write import METADATA
 from greenroof_ros.results.metrics import METRICS
+from greenroof_ros.results.recorded import compute_results
 from greenroof_ros.results.table import format_exactly, summary_columns
 from greenroof_ros.results.trajectory import CSV, TRAJECTORY, Trajectory, read_trajectory
 from greenroof_ros.simulation import summary
@@ -184,7 +184,7 @@ def read_run(path: Path, site: Path | Site | None = None) -> ReportedRun:
     """Read a run directory, a bag or an .mcap file.
 
     The results of a finished run are taken from its summary; all other results are computed from
-    the trajectory. If ``greenroof recover`` has made a bag, this bag is read.
+    the trajectory.
 
     Args:
         path: path of the run directory, bag or file.
@@ -208,16 +208,13 @@ def read_run(path: Path, site: Path | Site | None = None) -> ReportedRun:
     start = datetime.fromisoformat(about.get("start", "1970-01-01"))
     hours = about.get("steps", 0) * about.get("tau_s", 0) / 3600
     bag = path / "bag" if (path / "bag").is_dir() else path
-    repair = f"greenroof recover {run} recovers a complete bag from the remaining data"
-    if (recovered := name_recovered_bag(bag)).is_dir():
-        bag, repair = recovered, ""
-        notes.append(f"{bag.name} contains the data that greenroof recover could recover")
     kept = next((path / name for name in (TRAJECTORY, CSV) if (path / name).is_file()), None)
     if bag.is_file() or (bag / METADATA).is_file() or any(bag.glob("*.mcap")):
         trajectory, further, unknown = load_bag(
-            bag, site, start.tzinfo or zone, repair=repair,
+            bag, site, start.tzinfo or zone,
             own=bool(about) and "drive_at" not in about,  # live sensors can report anything
             external_pump="/pump/flow" in about.get("refused", {}),
+            repair=f"greenroof recover {run} makes another bag of the remaining data",
         )
         notes += further
     elif kept is not None:

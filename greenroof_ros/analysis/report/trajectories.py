@@ -11,8 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greenroof_ros.analysis import figures
-from greenroof_ros.base.errors import ConfigurationError
-from greenroof_ros.base.times import to_minutes
 from greenroof_ros.results.trajectory import Trajectory
 from greenroof_ros.site.site import Site
 
@@ -126,17 +124,7 @@ def overlay_simulations(simulations: Mapping[str, tuple[Site, Trajectory]]) -> a
 
     Args:
         simulations: sites and trajectories, by the names of the lines.
-
-    Raises:
-        ConfigurationError: if the simulations begin at different times.
     """
-    first, start = next((name, run.start) for name, (_, run) in simulations.items())
-    for name, (_, run) in simulations.items():
-        if run.start != start:
-            raise ConfigurationError(
-                f"begins at {to_minutes(run.start)}, but {first} begins at {to_minutes(start)}: "
-                "all runs in a chart must begin at the same time", key=name,
-            )
     chart: alt.VConcatChart = figures.PictureColumn(
         vconcat=[panel.sized(_WIDTH) for panel in draw_over_time(simulations)], spacing=10
     ).resolve_scale(x="shared", color="shared", strokeDash="shared").configure(

@@ -10,7 +10,7 @@ import pytest
 from inputs import trajectory_of
 from paper import PAPER_SITE, paper_run, site_file
 
-from greenroof_ros.analysis.report.recorded import compute_results
+from greenroof_ros.results.recorded import compute_results
 from greenroof_ros.results.metrics import METRICS
 from greenroof_ros.simulation.loop import simulate
 

@@ -49,7 +49,7 @@ def test_means_by_hand(tmp_path: Path) -> None:
     full = {name: texts for name, *texts in make_full_table(report).texts()}  # type: ignore[union-attr]
     assert full["retention of the roof (%)"] == ["none", "62 (50 to 75)"]
     assert answer(report) == (
-        "Best by total deviation: other. Means: total deviation 140 (80 to 200) m³. With on/off: "
+        "Best by total deviation: other. For other: total deviation 140 (80 to 200) m³. With on/off: "
         "150 (100 to 200) m³. Covered: site file site.yaml, latitude and longitude 43.63, -79.4, "
         "seasons of 2015 to 2025."
     )
@@ -150,7 +150,7 @@ def test_the_command(tmp_path: Path) -> None:
     done = command("study", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert str(report / "report.html") in done.stdout
-    assert "Best by total deviation: onoff fraction 2" in done.stdout
+    assert "For onoff fraction 2: total deviation" in done.stdout
     assert "failed or did not finish: 1" in done.stdout
     assert "<td>no solution</td>" in (report / "report.html").read_text()
     assert {path.name for path in (report / "figures").iterdir()} == {"time-1.svg", "time-1.png"}
