@@ -49,9 +49,9 @@ def test_means_by_hand(tmp_path: Path) -> None:
     full = {name: texts for name, *texts in make_full_table(report).texts()}  # type: ignore[union-attr]
     assert full["retention of the roof (%)"] == ["none", "62 (50 to 75)"]
     assert answer(report) == (
-        "Best by total deviation: other. For other: total deviation 140 (80 to 200) m³. With on/off: "
-        "150 (100 to 200) m³. Covered: site file site.yaml, latitude and longitude 43.63, -79.4, "
-        "seasons of 2015 to 2025."
+        "Best by total deviation: other. For other: total deviation 140 (80 to 200) m³. "
+        "With on/off: 150 (100 to 200) m³. Covered: site file site.yaml, latitude and longitude "
+        "43.63, -79.4, seasons of 2015 to 2025."
     )
     assert list(figures_of(report)) == ["comparison", "seasons"]
 
