@@ -110,10 +110,9 @@ def study_of(directory: Path, *rows: dict[str, Any]) -> Report:
     return report_of(write_study(directory, [(row, None) for row in rows]))
 
 
-def page_of(source: Path | Report, *further: Path) -> str:
-    """Return the text of the page on a report or on paths, without figures and extra spaces."""
-    html = render(source if isinstance(source, Report) else report_of(source, *further), [])
-    return " ".join(html.partition("<body>")[2].partition("</main>")[0].split()).replace("<br>", "")
+def page_of(report: Report) -> str:
+    """Return the text of the page, without figures and extra spaces."""
+    return " ".join(render(report, []).partition("<body>")[2].partition("</main>")[0].split())
 
 
 def figures_of(report: Report) -> dict[str, Figure]:

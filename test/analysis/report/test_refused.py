@@ -15,43 +15,39 @@ from refusals import refusal
 
 from greenroof_ros.analysis.report.runs import find_runs
 
-
-def topics(*names: str, **options: str) -> Callable[[Path], Any]:
-    """Return what writes a bag with these topics."""
-    return lambda at: write_bag(at, dict.fromkeys(names, ([0, 1], [0.5, 0.6])), **options)
+NEEDED = ("cistern_level", "roof_level", "pump_command", "pump_flow")
 
 
 def replaced(old: str, new: str) -> Callable[[Path], Any]:
     """Return what writes a study with another text in its table."""
 
     def make(at: Path) -> None:
-        example = simulate("onoff", "0.5", "low-low", "0.01")
-        file = write_study(at, [(example.row, example.trajectory)]) / "results.csv"
-        text = file.read_text()
+        file = write_study(at, [(simulate("onoff", "0.5", "low-low", "0.01").row, None)])
+        text = (file / "results.csv").read_text()
         assert old in text
-        file.write_text(text.replace(old, new))
+        (file / "results.csv").write_text(text.replace(old, new))
 
     return make
 
 
-def unfinished_bag(at: Path) -> None:
-    """Write a bag as it is while it is recorded."""
-    (small_bag(at) / "metadata.yaml").unlink()
-
-
-NEEDED = ("cistern_level", "roof_level", "pump_command", "pump_flow")
 # name: what makes the input "in", the message as a pattern
 WRONG: dict[str, tuple[Callable[[Path], Any], str]] = {
     "nothing-there": (lambda at: None, "in: must be the directory of a study"),
-    "an-empty-directory": (Path.mkdir, "in: must be the directory of a study"),
-    "unfinished": (unfinished_bag, "in: cannot be read as a bag.*greenroof recover"),
-    "foreign-topics": (topics("/scan"), "lacks .*/cistern/level.*/pump/flow.*: /scan"),
+    "being-recorded": (
+        lambda at: (small_bag(at) / "metadata.yaml").unlink(),
+        r"in: cannot be read as a bag.*[^.]\. If it is damaged, greenroof recover .*/in makes",
+    ),
+    "foreign-topics": (
+        lambda at: write_bag(at, {"/scan": ([0, 1], [0.5, 0.6])}),
+        "lacks .*/cistern/level.*/pump/flow.*: /scan",
+    ),
     "one-sample": (
-        lambda at: small_bag(at, **{name: [0.01] for name in NEEDED}), "two samples.*not 1"
+        lambda at: small_bag(at, **{key: [0.01] for key in NEEDED}), "two samples.*not 1"
     ),
     "float32": (
-        topics(*(f"/{name.replace('_', '/')}" for name in NEEDED), msgtype="std_msgs/msg/Float32"),
-        "not std_msgs/msg/Float32",
+        lambda at: write_bag(at, {
+            f"/{name.replace('_', '/')}": ([0, 1], [0.5, 0.6]) for name in NEEDED
+        }, msgtype="std_msgs/msg/Float32"), "not std_msgs/msg/Float32",
     ),
     "another-table": (replaced(",season,", ",of,"), "results.csv: is not the table .*season"),
     "no-finished-run": (replaced(",done,", ",failed,"), "no run has results; 1 failed"),

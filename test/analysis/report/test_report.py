@@ -10,8 +10,8 @@ from typing import Any
 from inputs import command, figures_of, page_of, report_of, simulate, study_of, write_study
 from places import CONFIG
 from refusals import refusal
-from studies import record, run_here
 
+import greenroof_ros as gr
 from greenroof_ros.analysis.report.page import answer, make_full_table, make_notes, make_table
 from greenroof_ros.analysis.report.runs import TOTAL
 
@@ -118,20 +118,13 @@ def test_places_are_named_by_what_differs(tmp_path: Path) -> None:
 
 def test_a_study_of_seasons(tmp_path: Path) -> None:
     """A case has the seeds of its forecasts in every year."""
-    record(tmp_path / "record", (2015, 2016))
-    run_here(tmp_path / "record", """
-site: {file: site.yaml, tau: 600.0}
-weather:
-  - {file: "{year}_*.csv", start: "{year}-05-01T00:00", year: {from: 2015, to: 2016}, hours: 192,
-     evapotranspiration: fao56}
-bound_block: 0
-forecast: {model: errors, skill: real, seed: {from: 1, to: 2}}
-initial: low-low
-controllers:
-  onoff: {forecast: perfect}
-  mpc: {weight: 0.01}
-""")
-    report = report_of(tmp_path / "record" / "out")
+    gr.study({
+        "site": gr.read_site(tau=600.0), "evapotranspiration": "monthly", "hours": 192,
+        "weather": str(CONFIG / "weather" / "toronto_2014-2025.csv.gz"), "gaps": "fill",
+        "start": ["2015-05-01", "2016-05-01"], "controller": ["onoff", "anticipating_onoff"],
+        "forecast": "errors", "forecast_seed": [1, 2],
+    }, output=tmp_path / "study")
+    report = report_of(tmp_path / "study")
     assert list(figures_of(report)) == ["comparison", "seasons"]
     (place,) = report.places
     assert sorted(place["runs"]) == [2, 4]

@@ -12,8 +12,6 @@ from pathlib import Path
 import numpy as np
 import polars
 import pytest
-from checked_nodes import changed, start_node
-from graphs import bring_up
 from inputs import (
     MINUTE,
     NAMES,
@@ -21,7 +19,6 @@ from inputs import (
     START_NS,
     TOPICS,
     ended_run,
-    figures_of,
     messages_of,
     page_of,
     report_of,
@@ -31,7 +28,7 @@ from inputs import (
     write_bag,
     write_study,
 )
-from places import CHECKOUT, CONFIG
+from places import CONFIG
 from refusals import refusal
 from rosbags.rosbag2 import StoragePlugin
 
@@ -40,8 +37,6 @@ from greenroof_ros.analysis.report.runs import TOTAL, find_runs, read_run
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.commands.recover import recover
 from greenroof_ros.results.trajectory import Trajectory, read_trajectory
-
-# --- trajectories --------------------------------------------------------------------------------
 
 
 def test_parquet(tmp_path: Path) -> None:
@@ -66,9 +61,6 @@ def test_parquet(tmp_path: Path) -> None:
     for content in contents:
         file.write_bytes(content)
         refusal(read_trajectory, file, match="is empty, truncated or not a trajectory")
-
-
-# --- foreign bags --------------------------------------------------------------------------------
 
 
 def test_a_bag_gives_the_runs_numbers(tmp_path: Path) -> None:
@@ -138,9 +130,6 @@ def test_a_real_sites_bag(tmp_path: Path) -> None:
     assert trajectory.pump_flow.tolist() == [1e-6] * 8 and notes == []
 
 
-# --- other bags of a simulation, and what is no bag -----------------------------------------------
-
-
 @pytest.mark.parametrize("namespace", ["", "/site1"])
 def test_a_bag_of_a_simulation_needs_simulated_times(tmp_path: Path, namespace: str) -> None:
     """A hundred times real time: 20 s in 0.2 s. As a bag, and as its .mcap file alone.
@@ -165,36 +154,19 @@ def test_a_bag_of_a_simulation_needs_simulated_times(tmp_path: Path, namespace: 
     assert loaded(bags["late"])[0].time.tolist() == list(range(20))
 
 
-@pytest.mark.parametrize(("stamp", "times", "gap"), [
-    (0, [0, 1625641200, 1625641201, 1625641202], "1970-01-01T00:00:00+00:00 to 2021-07-07T07:00"),
-    (2**62, [0, 1, 2, 2986044818.427388], "2021-07-07T07:00:02+00:00 to 2116-02-20T23:53:38+00:00"),
-])
-def test_messages_of_a_clock_that_was_not_set(
-    tmp_path: Path, stamp: int, times: list[float], gap: str
-) -> None:
-    """In 1970, or in 2116: their times count as they stand, and the note on gaps tells."""
-    stamps = sorted([stamp - START_NS, 0, 10**9, 2 * 10**9])
+def test_messages_of_a_clock_that_was_not_set(tmp_path: Path) -> None:
+    """In 1970: their times count as they stand, the note on gaps tells, and of the gap remains 7 h.
+
+    The pump's 10 L/s hold for a second, and not in the gap.
+    """
+    stamps = [-START_NS, 0, 10**9, 2 * 10**9]
     bag = write_bag(tmp_path / "bag", dict.fromkeys(list(TOPICS)[:4], (stamps, [0.01] * 4)))
     trajectory, notes = loaded(bag)
-    assert trajectory.time.tolist() == pytest.approx(times, abs=1e-6)
+    assert trajectory.time.tolist() == [0, 1625641200, 1625641201, 1625641202]
     (note,) = (note for note in notes if "gap" in note)
-    assert gap in note and note.endswith("was a clock not set?")
-    assert "was a clock not set?" in page_of(bag)
-
-
-def test_a_bag_that_lacks_a_file(tmp_path: Path) -> None:
-    """It is named, and nothing can recover it."""
-    bag = small_bag(tmp_path / "bag")
-    (part,) = bag.glob("*.mcap")
-    part.rename(tmp_path / part.name)
-    refusal(read_run, bag, match=f"{bag}: cannot be read as a bag: .*missing: .*{part.name}")
-
-
-def test_a_file_that_is_no_bag_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "run.MCAP").write_bytes(b"no bag")
-    words = r"cannot be read as a bag.*[^.]\. If it is damaged, "
-    with pytest.raises(ConfigurationError, match=words):
-        loaded(tmp_path / "run.MCAP")
+    assert "1970-01-01T00:00:00+00:00 to 2021-07-07T07:00" in note
+    assert note.endswith("was a clock not set?") and note in page_of(report_of(bag))
+    assert read_run(bag).row["pumped_m3"] == pytest.approx(0.02)
 
 
 def test_values_out_of_their_range_are_left_out_and_noted(tmp_path: Path) -> None:
@@ -252,9 +224,6 @@ def test_discharge_that_nobody_recorded(tmp_path: Path) -> None:
     assert run.row["discharge_m3"] == pytest.approx(4e-3)
 
 
-# --- run directories -----------------------------------------------------------------------------
-
-
 def test_results_of_a_run_that_is_done_are_its_own(tmp_path: Path) -> None:
     """From its summary, with its notes: the bag's roof can be the reading of a sensor with errors.
 
@@ -287,82 +256,38 @@ def test_a_damaged_summary(tmp_path: Path) -> None:
 
 def test_names_distinguish_paths(tmp_path: Path) -> None:
     """Runs are named by their directories; the cases of two studies stay apart."""
-    paths = [tmp_path / place for place in ("tue/bag", "x/a/deep", "y/a/deep", "one")]
-    for path in paths:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        small_bag(path)
-    names = [run.row["case"] for run in find_runs(paths).runs]
-    assert names == ["bag", str(paths[1]), str(paths[2]), "one"]
+    bags = [small_bag(tmp_path / place) for place in ("tue", "x-deep", "y-deep")]
+    names = [tmp_path / "x" / "deep", tmp_path / "y" / "deep"]
+    for bag, name in zip(bags[1:], names, strict=True):
+        shutil.copytree(bag, name)
+    runs = find_runs([bags[0], *names]).runs
+    assert [run.row["case"] for run in runs] == ["tue", *map(str, names)]
     row = simulate("onoff", "0.5", "low-low").row
     studies = [write_study(tmp_path / place / "study", [(row, None)]) for place in ("a", "b")]
     places = [place["place"][0] for place in report_of(*studies).places]
     assert places == [f"{study}, July" for study in studies]
 
 
-# --- graphs --------------------------------------------------------------------------------------
-
-
-# The example's pump, but with 1 L/s, and an impossible flow in every tenth tick from the first on.
-BAD_FLOWS = """
-import itertools
-BAD = [math.nan, 5.0, -0.001, math.inf]
-flows = (0.001 if tick % 10 else BAD[tick // 10 % 4] for tick in itertools.count())
-rclpy.init()
-"""
-
-
-def test_a_run_of_the_graph(domain: int, tmp_path: Path) -> None:
-    """Bringup's bag gives the numbers of the summary, and the labels of the run.
-
-    By hand: 9 of 10 ticks of 1 L/s, 12 starts, because refused flows act as 0.
-    """
-    pytest.importorskip("rclpy", reason="the graph needs ROS 2")
-    bad = changed((CHECKOUT / "examples/pump_driver.py").read_text(), "rclpy.init()\n", BAD_FLOWS)
-    bad = changed(bad, ".publish(flow)", ".publish(Float64(data=next(flows)))")
-    driver = start_node(domain, tmp_path, "pump_driver", bad)
-    try:
-        summary = bring_up(
-            domain, tmp_path, "--hours", str(120 / 3600), "--controller", "onoff",
-            "--pump", "external",
-        )
-    finally:
-        driver.kill()
-        driver.wait(60)
-    assert summary["refused"] == {"/pump/flow": 13}  # in ticks 0 to 120
-    assert summary["pumped_m3"] == pytest.approx(108 * 0.001, rel=1e-12)
-    assert summary["pump_starts"] == 12
-    run = read_run(tmp_path / "run")
-    assert (run.row["initial"], run.row["site"]) == ("low-low", "site.yaml")
-    rejected = "13 of 121 values of /pump/flow were rejected"
-    assert any(note.startswith(rejected) for note in run.notes)
-    killed = {key: summary[key] for key in list(summary)[: list(summary).index("frost_hours")]}
-    (tmp_path / "run" / "summary.json").write_text(json.dumps({**killed, "status": "running"}))
-    worked_out = read_run(tmp_path / "run").row
-    for name in (TOTAL, "pumped_m3", "rain_m3", "drainage_m3", "final_roof_m3"):
-        assert worked_out[name] == pytest.approx(summary[name], rel=1e-12, abs=1e-15), name
-    assert list(figures_of(report_of(tmp_path / "run"))) == ["time-1"]
-
-
 def test_what_the_plant_refuses_acts_as_zero(tmp_path: Path) -> None:
-    """In this package's runs: command, rain and evapotranspiration; the plant's flow is kept."""
-    path = ended_run(tmp_path / "run")
-    shutil.rmtree(path / "bag")
-    small_bag(
-        path / "bag", pump_command=[math.nan, 2000.0, 0.5], pump_flow=[0.0, 8.0, 0.0],
-        weather_precipitation=[2e-3, 1e-6, 0.0], weather_evapotranspiration=[-1.0, 1e-6, math.inf],
-    )
-    trajectory, notes = loaded(path)
-    assert trajectory.command.tolist() == [0, 2000, 0.5]
-    assert trajectory.pump_flow.tolist() == [0, 8, 0]
-    assert trajectory.precipitation.tolist() == [0, 1e-6, 0]
-    assert trajectory.evapotranspiration.tolist() == [0, 1e-6, 0]
-    refused = {note.split()[5]: note.split()[0] for note in notes if "rejected" in note}
-    assert refused == {
-        "/pump/command": "1", "/weather/precipitation": "1", "/weather/evapotranspiration": "2"
-    }
+    """In this package's runs: command, rain and evapotranspiration; the plant's flow is kept.
 
-
-# --- how runs ended -------------------------------------------------------------------------------
+    The flow of an external pump, which the summary tells, is none of the plant's.
+    """
+    for name, refused, flow in (("own", {}, 8.0), ("external", {"/pump/flow": 1}, 0.0)):
+        path = ended_run(tmp_path / name, refused=refused)
+        shutil.rmtree(path / "bag")
+        small_bag(
+            path / "bag", pump_command=[math.nan, 2000.0, 0.5], pump_flow=[0.0, 8.0, 0.0],
+            weather_precipitation=[2e-3, 1e-6, 0.0], weather_evapotranspiration=[-1.0, 1e-6, 0.0],
+        )
+        trajectory, notes = loaded(path)
+        assert trajectory.command.tolist() == [0, 2000, 0.5]
+        assert trajectory.pump_flow.tolist() == [0, flow, 0]
+        assert trajectory.precipitation.tolist() == [0, 1e-6, 0]
+        assert trajectory.evapotranspiration.tolist() == [0, 1e-6, 0]
+        rejected = [note.split()[5] for note in notes if "rejected" in note]
+        topics = {"/pump/command", "/weather/precipitation", "/weather/evapotranspiration"}
+        assert {*rejected} == topics | refused.keys()
 
 
 def test_how_runs_ended(tmp_path: Path) -> None:
@@ -402,9 +327,6 @@ def test_a_live_site(tmp_path: Path) -> None:
     run = read_run(path)
     # In the site's zone, as its configuration has no start.
     assert (run.row["site"], run.row["start"]) == ("site.yaml", START.isoformat())
-
-
-# --- damaged bags --------------------------------------------------------------------------------
 
 
 def test_what_recover_makes_of_a_damaged_bag(tmp_path: Path, recorded: Path) -> None:
