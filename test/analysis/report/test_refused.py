@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 from graphs import environment
-from inputs import command, report_of, simulate, small_bag, write_bag, write_study
+from inputs import report_of, simulate, small_bag, write_bag, write_study
 from refusals import refusal
 
 from greenroof_ros.analysis.report.runs import find_runs
@@ -69,19 +69,6 @@ def test_a_wrong_site(tmp_path: Path) -> None:
     (tmp_path / "site.yaml").write_text("a1: -25\n")
     bag = small_bag(tmp_path / "bag")
     refusal(find_runs, [bag], tmp_path / "site.yaml", match=r"site.yaml.*a1")
-
-
-def test_command(tmp_path: Path) -> None:
-    """Exit code 2, no traceback, nothing written."""
-    small_bag(tmp_path / "in")
-    (tmp_path / "mine").mkdir()
-    (tmp_path / "mine" / "mine.svg").touch()
-    before = sorted(tmp_path.rglob("*"))
-    done = command("in", "--output", "mine", cwd=tmp_path)
-    assert done.returncode == 2, done.stderr
-    assert "Traceback" not in done.stderr and done.stdout == ""
-    assert "--output = 'mine'" in done.stderr and "mine.svg" in done.stderr
-    assert sorted(tmp_path.rglob("*")) == before
 
 
 def test_without_the_extra(tmp_path: Path) -> None:
