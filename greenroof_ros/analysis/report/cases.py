@@ -37,30 +37,24 @@ class Report:
         Raises:
             ConfigurationError: if a study shows a metric that does not exist.
         """
-        valves = any(run.site.low_outlet_valve and run.site.mains_flow for run in sources.runs)
+        valves = any(run.site.low_outlet_valve and run.site.mains_level for run in sources.runs)
         self.sources, show = sources, sources.show or ([WET, MAINS] if valves else [TOTAL])
         if unknown := {*show} - {*COLUMNS}:
             raise ConfigurationError("is not a metric", key="show", value=min(unknown))
-        keys = "window", "initial", "case", "season", "start", *COLUMNS, *BOUNDS.values()
-        rows = make_frame(
-            [{key: run.row.get(key) for key in keys} for run in sources.runs],
-            infer_schema_length=None,
-        )
-        known = [name for name in keys if rows[name].null_count() < len(rows)]
+        keys = "case", *COLUMNS, *BOUNDS.values()
+        windows, states = ({run.row[key] for run in sources.runs} for key in ("window", "initial"))
+        rows = make_frame([{
+            **{key: run.row.get(key) for key in keys}, "first": first,
+            "place": ", ".join([
+                *[run.row["window"]] * (len(windows) > 1),
+                *[f"initial state {run.row['initial']}"] * (len(states) > 1),
+            ]),
+            "year": int(run.row["start"][:4]) if run.row.get("season") else None,
+        } for first, run in enumerate(sources.runs)], infer_schema_length=None)
+        known = [name for name in keys[1:] if rows[name].null_count() < len(rows)]
         self.metrics = [name for name in COLUMNS if name in known]
-        self.show = [name for name in show if name in known]
-        varied = [
-            polars.col("window") if name == "window" else polars.format("initial state {}", name)
-            for name in ("window", "initial") if rows[name].n_unique() > 1
-        ]
-        rows = rows.with_row_index("first").with_columns(
-            place=polars.concat_str(varied, separator=", ") if varied else polars.lit(""),
-            year=polars.when(polars.col("season").is_not_null()).then(
-                polars.col("start").str.head(4).cast(polars.Int64)
-            ),
-        )
-        case = ["place", "case"]
-        values = polars.col(name for name in known if name in {*COLUMNS, *BOUNDS.values()})
+        self.show = [name for name in show if name in known] or [TOTAL]
+        case, values = ["place", "case"], polars.col(known)
         self.years = rows.group_by(*case, "year", maintain_order=True).agg(values.mean())
         means = self.years.group_by(case, maintain_order=True).agg(values.mean())
         ranges = rows.group_by(case).agg(

@@ -57,7 +57,11 @@ def answer(report: Report) -> str:
     """Return the answer: the best cases, what one of them achieves, and what the runs cover."""
     runs, name, won = report.sources.runs, report.show[0], dict[str, list[str]]()
     for place in report.places:
-        won.setdefault(place["case"][0], []).append(place["place"][0])
+        best, *others = place.to_dicts()
+        shown = [[_write(case, each) for each in report.show] for case in (best, *others)]
+        equal = shown.count(shown[0]) - 1
+        winner = best["case"] + f" and {number_of(equal, 'equal case')}" * (equal > 0)
+        won.setdefault(winner, []).append(best["place"])
     best, *others = report.places[0].to_dicts()
     winners = ", ".join(
         case + f" ({'; '.join(places)})" * bool(places[0]) for case, places in won.items()
@@ -72,14 +76,13 @@ def answer(report: Report) -> str:
         if case["case"] == runs[0].row["case"]
     ]
     sites = {run.row["site"]: run.site for run in runs}
-    places = {f"{site.latitude}, {site.longitude}" for site in sites.values()} - {"None, None"}
+    points = {f"{site.latitude}, {site.longitude}" for site in sites.values()} - {"None, None"}
     years = report.years["year"].drop_nulls()
-    covered = [
-        f"site file {next(iter(sites))}" if len(sites) == 1 else number_of(len(sites), "site file"),
-        *[f"latitude and longitude {'; '.join(sorted(places))}"] * bool(places),
+    return ". ".join([*sentences, ", ".join([
+        f"Covered: {' and '.join(sites) if len(sites) < 3 else number_of(len(sites), 'site file')}",
+        *[f"latitude and longitude {'; '.join(sorted(points))}"] * bool(points),
         *[f"seasons of {years.min()!r} to {years.max()!r}"] * bool(len(years)),
-    ]
-    return ". ".join([*sentences, f"Covered: {', '.join(covered)}"]) + "."
+    ])]) + "."
 
 
 def _write(case: Mapping[str, Any], name: str) -> str:
@@ -97,6 +100,7 @@ def _columns(report: Report) -> list[str]:
 def make_table(report: Report) -> Table:
     """Return the main table: the shown metrics of all cases, and the minimum possible values."""
     names, rows, marked = _columns(report), list[list[Any]](), set[int]()
+    several = len(report.places) > 1
     for place in report.places:
         ranks = place.select(map(rank, report.show)).fill_null(math.inf).to_numpy()
         marked |= {len(rows) + index for index, own in enumerate(ranks) if not any(
@@ -104,20 +108,21 @@ def make_table(report: Report) -> Table:
         )}
         cases = place.to_dicts()
         rows += [
-            [case["case"], case["place"],
+            [case["case"], *[case["place"]] * several,
              *(write_range(case, name, COLUMNS[name]) for name in names), case["runs"]]
             for case in cases
         ]
         bounds = [cases[0].get(BOUNDS.get(name, "")) for name in names]
         if any(each is not None for each in bounds):
-            rows.append(["minimum possible", cases[0]["place"], *(
+            rows.append(["minimum possible", *[cases[0]["place"]] * several, *(
                 "" if each is None else write(each, COLUMNS[name])
                 for name, each in zip(names, bounds, strict=True)
             ), ""])
     return Table(
         "Means (lowest to highest run), sorted by the first result; bold: no other case is better "
-        "in all shown results", ["case", "place", *(COLUMNS[name] for name in names), "runs"],
-        rows, frozenset(marked),
+        "in all shown results",
+        ["case", *["place"] * several, *(COLUMNS[name] for name in names), "runs"], rows,
+        frozenset(marked),
     )
 
 
@@ -137,7 +142,7 @@ def make_notes(report: Report) -> list[str]:
     """Return the notes for the reader, most with the number of runs to which they apply."""
     runs = report.sources.runs
     texts = Counter(text for run in runs for text in (
-        f"forecast: {run.row.get('forecast') or 'perfect'}", *run.notes,
+        f"forecast: {run.row.get('forecast') or 'not known'}", *run.notes,
         *(shorten(run.row.get(name) or "", _MAX_NOTE) for name in ("notes", "weather_notes")),
         *(meaning for name, meaning in _NOTED.items() if run.row.get(name)),
     ) if text)

@@ -225,13 +225,15 @@ def read_run(path: Path, site: Path | Site | None = None) -> ReportedRun:
             results |= compute_results(site, trajectory, unknown)
     elif TOTAL not in results:
         raise ConfigurationError(
-            "must be the directory of a study (with results.csv), of a run (with a bag, or with "
-            "the results of a finished simulation) or of a bag, or an .mcap file", file=path,
+            "must be the directory of a study (with results.csv), of a run with results, or of a "
+            "bag, or an .mcap file", file=path,
         )
+    forecast = about.get("forecast")
     if changes := about.get("parameter_change_count"):
         notes.append(f"{changes} changes of parameters during the run, listed in summary.json")
     return ReportedRun(site, {
         **results, "site": name, "start": start.isoformat(),
+        "forecast": forecast["model"] if isinstance(forecast, dict) else forecast,
         "initial": (about.get("initial") or {"name": "as recorded"})["name"] or "own volumes",
         "window": f"from {to_minutes(start)}, {format_exactly(round(hours, 5))} h",
     }, trajectory, notes)

@@ -38,10 +38,7 @@ _CURVES: dict[str, Callable[[Site, Trajectory], NDArray[np.float64]]] = {
 # The reference levels of a panel; None for what a site does not have.
 _LEVELS: dict[str, Callable[[Site], dict[str, float | None]]] = {
     "roof level (mm)": lambda site: {"target": 1000 * site.x2_star / site.a2},
-    "cistern level (m)": lambda site: {
-        "overflow": site.z_o, "suction limit": site.suction_level,
-        "low outlet": site.low_outlet_level,
-    },
+    "cistern level (m)": lambda site: {"overflow": site.z_o, "low outlet": site.low_outlet_level},
 }
 
 

@@ -39,10 +39,10 @@ def test_means_by_hand(tmp_path: Path) -> None:
         tmp_path / "study", *onoff, *rows("other", 1, ONOFF), *rows("other", 2, lower)
     )
     table = make_table(report)
-    assert table.headings() == ["case", "place", "total deviation (m³)", "runs"]
+    assert table.headings() == ["case", "total deviation (m³)", "runs"]
     assert table.texts() == [
-        ["other", "", "140 (80 to 200)", "22"], ["on/off", "", "150 (100 to 200)", "11"],
-        ["minimum possible", "", "50", ""],
+        ["other", "140 (80 to 200)", "22"], ["on/off", "150 (100 to 200)", "11"],
+        ["minimum possible", "50", ""],
     ]
     assert table.marked == {0}
     # The mean is over years with a share; without one there is no number.
@@ -50,7 +50,7 @@ def test_means_by_hand(tmp_path: Path) -> None:
     assert full["retention of the roof (%)"] == ["none", "62 (50 to 75)"]
     assert answer(report) == (
         "Best by total deviation: other. For other: total deviation 140 (80 to 200) m³. "
-        "With on/off: 150 (100 to 200) m³. Covered: site file site.yaml, latitude and longitude "
+        "With on/off: 150 (100 to 200) m³. Covered: site.yaml, latitude and longitude "
         "43.63, -79.4, seasons of 2015 to 2025."
     )
     assert list(figures_of(report)) == ["comparison", "seasons"]
@@ -73,10 +73,10 @@ def test_a_study_shows_what_it_asks(tmp_path: Path) -> None:
     shutil.copy(CONFIG / "site_valve.yaml", tmp_path / "study" / "configuration" / "site.yaml")
     report = report_of(tmp_path / "study")
     table = make_table(report)
-    assert table.headings()[2:6] == [
+    assert table.headings()[1:5] == [
         "discharge in wet weather (m³)", "discharge (m³)", "retention (%)", "mains water used (m³)",
     ]
-    assert [texts[:1] + texts[2:6] for texts in table.texts()] == [
+    assert [texts[:5] for texts in table.texts()] == [
         ["drain", "10", "80", "27", "7 (6 to 8)"], ["closed", "30", "80", "27", "2"],
         ["worse", "40", "none", "none", "9"], ["minimum possible", "8", "", "", "5"],
     ]
@@ -105,7 +105,11 @@ def test_places_are_named_by_what_differs(tmp_path: Path) -> None:
         "Best by total deviation: a (May, initial state low-low), b (June, initial state half). "
         "For May, initial state low-low: total deviation 1 m³. Covered"
     )
-    assert make_notes(report)[1:] == ["forecast: perfect (4 of 4 runs)", (
+    both = rows("a", None, {2020: 1.0}) + rows("b", None, {2020: 1.0}) + rows("c", None, {2020: 2.0})
+    assert answer(study_of(tmp_path / "equal", *both)).startswith(
+        "Best by total deviation: a and 1 equal case. For a: "
+    )
+    assert make_notes(report)[1:] == ["forecast: not known (4 of 4 runs)", (
         "time steps in which a tank contained less water than was demanded (1 of 4 runs)"
     )]
     text = page_of(report)
