@@ -105,8 +105,8 @@ def test_places_are_named_by_what_differs(tmp_path: Path) -> None:
         "Best by total deviation: a (May, initial state low-low), b (June, initial state half). "
         "For May, initial state low-low: total deviation 1 m³. Covered"
     )
-    both = rows("a", None, {2020: 1.0}) + rows("b", None, {2020: 1.0}) + rows("c", None, {2020: 2.0})
-    assert answer(study_of(tmp_path / "equal", *both)).startswith(
+    equal = [row for case in "ab" for row in rows(case, None, {2020: 1.0})]
+    assert answer(study_of(tmp_path / "equal", *equal, *rows("c", None, {2020: 2.0}))).startswith(
         "Best by total deviation: a and 1 equal case. For a: "
     )
     assert make_notes(report)[1:] == ["forecast: not known (4 of 4 runs)", (
