@@ -155,7 +155,7 @@ def make_notes(report: Report) -> list[str]:
 
 def _list_assumptions(report: Report) -> Table:
     """Return the assumptions that matter, with both ends."""
-    sites = {run.site for run in report.sources.runs}
+    sites = dict.fromkeys(run.site for run in report.sources.runs)
     return Table(
         "Assumptions: the range in which each probably lies",
         ["assumption", "low", "used", "high", "source of the range"], [
