@@ -533,7 +533,7 @@ class Comparison:
         If the sites differ, the chart contains no lines for the target and the cistern levels.
 
         Raises:
-            ConfigurationError: if the runs begin at different times, or if altair is not installed.
+            ConfigurationError: if altair is not installed.
 
         Example:
             >>> import greenroof_ros as gr
@@ -639,7 +639,7 @@ def read_bag(path: PathText, site: PathText | Site | None = None) -> polars.Data
         2021-07-07 03:00:00-05:00 0.0457
     """
     with require_extra("study"):
-        from greenroof_ros.analysis.report.bags import read_run
+        from greenroof_ros.analysis.report.runs import read_run
     run = read_run(Path(path), Path(site) if isinstance(site, (str, os.PathLike)) else site)
     trajectory = run.trajectory()
     if trajectory is None:

@@ -50,19 +50,17 @@ def main() -> None:
         from greenroof_ros.analysis.page import claim_output, write_output
         from greenroof_ros.analysis.report.cases import Report
         from greenroof_ros.analysis.report.figures import make_figures
-        from greenroof_ros.analysis.report.page import render
-        from greenroof_ros.analysis.report.sources import find_runs
+        from greenroof_ros.analysis.report.page import answer, render
+        from greenroof_ros.analysis.report.runs import find_runs
     output: Path = arguments.output or arguments.paths[0] / "report"
     with ProgressBar() as progress:
-        report = Report(find_runs(arguments.paths, arguments.site, progress.show))
+        progress.show("reading", 0.0)
+        report = Report(find_runs(arguments.paths, arguments.site))
         claim_output(output, _PAGE)
         progress.show("drawing", 0.5)
         figures = list(make_figures(report))
         page = write_output(output, _PAGE, render(report, figures), figures)
-    for run in report.runs:
-        if run.row.get("ended"):
-            ended = f"{run.name} {run.row['ended']}"
-            print(escape(f"{ended}; all results cover only the recorded part"))
+    print(escape(answer(report)))
     if failed := len(report.sources.failed):
-        print(f"runs that failed or were not started: {failed}; the report lists them")
+        print(f"runs that failed or did not finish: {failed}; the report lists them")
     print(escape(f"written to {page.resolve()}"))

@@ -34,14 +34,6 @@ def parameter_columns(parameters: Mapping[str, Cell]) -> dict[str, Cell]:
     return {f"{_PREFIX}{name}": value for name, value in parameters.items()}
 
 
-def row_parameters(row: Mapping[str, Cell]) -> dict[str, Cell]:
-    """Return the values of the parameters in a row of the table, keyed by parameter name."""
-    return {
-        column.removeprefix(_PREFIX): value
-        for column, value in row.items() if column.startswith(_PREFIX)
-    }
-
-
 def summary_columns(summary: Mapping[str, Any]) -> dict[str, Any]:
     """Return the results in a run's summary, keyed by the table's column names.
 

@@ -9,7 +9,6 @@ from datetime import datetime, timezone
 
 import altair
 import pytest
-from refusals import refusal
 
 import greenroof_ros as gr
 from greenroof_ros.api.simulate import Comparison
@@ -55,7 +54,7 @@ def test_the_axis_has_the_sites_time(compared: Comparison) -> None:
     times = [row["t"] for row in points(compared.plot(), 1)]
     local = [datetime.fromtimestamp(t / 1000, timezone.utc) for t in (min(times), max(times))]
     assert [f"{time:%Y-%m-%d %H:%M}" for time in local] == ["2021-07-07 02:00", "2021-07-07 05:00"]
-    bottom = compared.plot().to_dict()["vconcat"][-1]["layer"][-1]["encoding"]["x"]
+    bottom = compared.plot().to_dict()["vconcat"][-1]["encoding"]["x"]
     assert bottom["scale"]["type"] == "utc"
     assert bottom["title"] == "from 7 July 2021, UTC-05:00"
 
@@ -102,11 +101,7 @@ def test_runs_of_different_sites(compared: Comparison) -> None:
     assert f"{local:%H:%M}" == "06:00"
 
 
-def test_runs_that_begin_at_different_times_are_refused(compared: Comparison) -> None:
-    later = gr.simulate("onoff", hours=1, start="2021-07-08T02:00")
-    both = gr.compare({**compared.results, "later": later})
-    refusal(both.plot, match=(
-        "later: begins at 2021-07-08T02:00-05:00, but on/off begins at 2021-07-07T02:00-05:00"
-    ))
+def test_runs_of_different_lengths_are_refused(compared: Comparison) -> None:
+    both = gr.compare({**compared.results, "later": gr.simulate("onoff", hours=1)})
     with pytest.raises(ConfigurationError, match="later: lasts 60 min, but on/off lasts 3 h"):
         both.table  # noqa: B018

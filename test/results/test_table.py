@@ -13,7 +13,6 @@ from greenroof_ros.results.table import (
     event_rows,
     format_events,
     parameter_columns,
-    row_parameters,
 )
 
 START = datetime.fromisoformat("2021-07-07T02:00-05:00")
@@ -40,4 +39,3 @@ def test_parameters_are_columns_of_their_own() -> None:
     """A parameter with the name of another column is not mistaken for it."""
     row = {"hours": "12", **parameter_columns({"hours": "3", "gain": "20"})}
     assert row == {"hours": "12", "parameter:hours": "3", "parameter:gain": "20"}
-    assert row_parameters(row) == {"hours": "3", "gain": "20"}

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from greenroof_ros.analysis.calibration.step_record import StepRecord, Values
-from greenroof_ros.analysis.report.bags import read_about, run_directory
+from greenroof_ros.analysis.report.runs import read_about, run_directory
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.results.bag_read import load_bag
 from greenroof_ros.site.file import read_site
@@ -65,7 +65,7 @@ def read_bag_record(bag: Path, site: Site) -> StepRecord:
     first = np.searchsorted(trajectory.time, edges[:-1], side="right") - 1
     reference = summed(trajectory.evapotranspiration) * mm
     run = run_directory(bag)
-    if read_about(run).row["evapotranspiration"] in COMPUTED:
+    if read_about(run).get("evapotranspiration_method") in COMPUTED:
         own = run / "configuration" / "site.yaml"
         reference /= (read_site(own) if own.is_file() else site).crop_coefficient
     if not np.any(reference > 0):

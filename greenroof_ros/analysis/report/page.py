@@ -2,26 +2,20 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from textwrap import shorten
 from typing import Any
 
+from greenroof_ros.analysis.assumptions import list_ends
 from greenroof_ros.analysis.figures import Figure
 from greenroof_ros.analysis.page import Part, Section, make_page
-from greenroof_ros.analysis.report.cases import (
-    BOUND,
-    BOUNDS,
-    WET,
-    CaseRuns,
-    Report,
-    rank,
-)
-from greenroof_ros.analysis.tables import COLUMNS, Table, format_range
-from greenroof_ros.base.parameter import parameters_of
+from greenroof_ros.analysis.report.cases import Report, rank
+from greenroof_ros.analysis.report.runs import BOUNDS, WET
+from greenroof_ros.analysis.tables import COLUMNS, Table, write, write_range
 from greenroof_ros.base.text import number_of
 from greenroof_ros.results.metrics import METRICS
-from greenroof_ros.site.site import Site
 
 # Water that enters the sewer in dry weather is not kept out of it.
 _BESIDE = {WET: ("discharge_m3", "retention_share")}
@@ -29,16 +23,9 @@ _BESIDE = {WET: ("discharge_m3", "retention_share")}
 _MAX_CASES = 8
 # Longer notes are cut; results.csv and summary.json contain all of them.
 _MAX_NOTE = 160
-_TEXTS = "notes", "weather_notes"
-_MAX = {metric.name: metric.max for metric in METRICS}
-# What is worth a note if a column of a run's row is not 0.
-_NOTED = {
-    "filled_hours": "hours of missing weather that were filled",
+# What is worth a note if it is more than 0 in a run.
+_NOTED = {each.name: each.meaning for each in METRICS if each.max == 0} | {
     "fallbacks": "ticks in which the controller's solver found no solution",
-    "limited_steps": "ticks in which a tank ran empty, so its outflow was limited",
-    "beyond_hours": "hours with a command that no real pump can follow, as it exceeds the maximum "
-    "flow",
-    "excess_starts": "pump starts that exceed starts_per_hour of the site",
 }
 
 
@@ -49,172 +36,132 @@ def render(report: Report, figures: Sequence[Figure]) -> str:
         report: the results.
         figures: figures in the order in which they appear.
     """
-    failed, ended = report.sources.failed, [run for run in report.runs if run.row.get("ended")]
-    alarms = [(run.name, *alarm) for run in report.runs for alarm in run.alarms]
-    warnings = [f"{run.name} {run.row['ended']}" for run in ended]
-    if failed:
-        warnings.append(f"{len(failed)} of {len(failed) + len(report.runs)} runs have no results")
-    first = [each for each in figures if each.name in ("comparison", "seasons", "time-1")]
-    others = [each for each in figures if each not in first]
-    weather = dict.fromkeys(line for run in report.runs for line in run.weather)
+    failed = Table("Runs that failed or did not finish", ("run", "reason"), report.sources.failed)
     sections = [
-        Section("Results", [*[warnings] * bool(warnings), make_table(report), *first]),
+        Section(failed.caption, [failed] * bool(failed.rows)),
+        Section("Results", [make_table(report), *figures]),
         Section("All results", [make_full_table(report)]),
-        Section("Further pictures", others, folded=True),
-        Section("Alarms", [Table("Alarms", (
-            "run", "part", "from", "until", "level", "what", "follows from"
-        ), alarms)] * bool(alarms)),
-        Section("Runs without results", [
-            Table("Runs without results", ("run", "case", "reason"), failed)
-        ] * bool(failed)),
-        Section("What it rests on", _rest(report)),
-        Section("What was read", [[*report.sources.read, *weather]], folded=True),
+        Section("What it rests on", [make_notes(report), _list_assumptions(report)]),
+        Section("What was read", [report.sources.read], folded=True),
         Section("How it was made", [
             "Each run is a simulation of the site, tick by tick, or a recording. The result of a "
             "case is the mean over its years, in which a year counts as the mean over its random "
-            "seeds. Cases are compared only for the same window and initial state.",
+            "seeds. Cases are compared only for the same period and initial state.",
         ]),
     ]
-    title = f"Report on {number_of(len(report.runs), 'run')}"
+    title = f"Report on {number_of(len(report.sources.runs), 'run')}"
     return make_page(title, answer(report), [each for each in sections if each.parts])
 
 
 def answer(report: Report) -> str:
-    """Return the answer: the best case, what it achieves, and what the first case of the study."""
-    name, reference = report.show[0], report.runs[0].row["case"]
-    label, count = Counter(place[0].label for place in report.places).most_common(1)[0]
-    places = [place for place in report.places if place[0].label == label]
-    if len(report.cases) == 1:
-        return f"{label}: {_achieved(places[0][0], _columns(report))}."
-    text = f"Best by {COLUMNS[name].label}: {label}"
-    if len(report.places) > 1:
-        text += f", in {count} of {number_of(len(report.places), 'comparison')}"
-    where, achieved = report.name_place(places[0]), _achieved(places[0][0], _columns(report))
-    sentences = [text, f"{where[:1].upper()}{where[1:]}: {achieved}" if where else (
-        f"Means: {achieved}"
-    )]
-    sentences += [
-        f"With {reference}: {_achieved(case, [name])}" for case in places[0]
-        if case.label == reference != label
-    ]
-    return ". ".join(sentences) + "."
-
-
-def _achieved(case: CaseRuns, names: Sequence[str]) -> str:
-    return "; ".join(
-        f"{COLUMNS[name].label} {_cell(case, name)} {COLUMNS[name].unit}".rstrip() for name in names
+    """Return the answer: the best cases, what one of them achieves, and what the runs cover."""
+    runs, name, won = report.sources.runs, report.show[0], dict[str, list[str]]()
+    for place in report.places:
+        best, *others = place.to_dicts()
+        shown = [[_write(case, each) for each in report.show] for case in (best, *others)]
+        equal = shown.count(shown[0]) - 1
+        winner = best["case"] + f" and {number_of(equal, 'equal case')}" * (equal > 0)
+        won.setdefault(winner, []).append(best["place"])
+    best, *others = report.places[0].to_dicts()
+    winners = ", ".join(
+        case + f" ({'; '.join(places)})" * bool(places[0]) for case, places in won.items()
     )
+    sentences = [f"Best by {COLUMNS[name].label}: {winners}"] * (len(runs) > 1) + [
+        f"For {best['place'] or best['case']}: " + "; ".join(
+            f"{COLUMNS[each].label} {_write(best, each)}" for each in _columns(report)
+        )
+    ]
+    sentences += [
+        f"With {case['case']}: {_write(case, name)}" for case in others
+        if case["case"] == runs[0].row["case"]
+    ]
+    sites = {run.row["site"]: run.site for run in runs}
+    points = {f"{site.latitude}, {site.longitude}" for site in sites.values()} - {"None, None"}
+    years = report.years["year"].drop_nulls()
+    return ". ".join([*sentences, ", ".join([
+        f"Covered: {' and '.join(sites) if len(sites) < 3 else number_of(len(sites), 'site file')}",
+        *[f"latitude and longitude {'; '.join(sorted(points))}"] * bool(points),
+        *[f"seasons of {years.min()!r} to {years.max()!r}"] * bool(len(years)),
+    ])]) + "."
+
+
+def _write(case: Mapping[str, Any], name: str) -> str:
+    """Return a result of a case with its range and unit."""
+    column = COLUMNS[name]
+    return f"{write_range(case, name, column)} {column.unit}".rstrip()
 
 
 def _columns(report: Report) -> list[str]:
     """Return the metrics of the main table: those shown, and what must stand beside them."""
     names = [each for name in report.show for each in (name, *_BESIDE.get(name, ()))]
-    return [
-        name for name in dict.fromkeys(names) if any(name in case.ranges for case in report.cases)
-    ]
-
-
-def _cell(case: CaseRuns, name: str) -> str:
-    """Return a result with its range, marked if no real pump can achieve it."""
-    if name not in case.ranges:
-        return "none"
-    low, high = case.ranges[name]
-    text = format_range(case.row[name], low, high, COLUMNS[name])
-    return text + " ⚠" * (high > _MAX.get(name, high))
+    return [name for name in dict.fromkeys(names) if name in report.metrics]
 
 
 def make_table(report: Report) -> Table:
     """Return the main table: the shown metrics of all cases, and the minimum possible values."""
-    names, first = _columns(report), report.show[0]
+    names, rows, marked = _columns(report), list[list[Any]](), set[int]()
     several = len(report.places) > 1
-    compared = any(len(case.years) > 1 for case in report.cases)
-    rows, marked = list[list[Any]](), set[int]()
     for place in report.places:
-        where = [report.name_place(place)] * several
-        for case in place:
-            if len(place) > 1 and not _is_beaten(case, place, report.show):
-                marked.add(len(rows))
-            rows.append([
-                case.label, *where, *(_cell(case, name) for name in names), len(case.runs),
-            ])
-            if compared:
-                mean, better, years = case.change or (None, 0, 0)
-                rows[-1] += [mean, f"{better} of {years}"] if years else ["", ""]
-        bounds = [place[0].row.get(BOUNDS.get(name, "")) for name in names]
-        if any(bounds):
-            rows.append([BOUND, *where, *("" if each is None else each for each in bounds), ""])
-            rows[-1] += ["", ""] * compared
-    columns: list[Any] = ["case", *["window"] * several, *(COLUMNS[name] for name in names), "runs"]
-    if compared:
-        change = COLUMNS[first]._replace(label=f"difference from {report.runs[0].row['case']}")
-        columns += [change, "years in which it is better"]
+        ranks = place.select(map(rank, report.show)).fill_null(math.inf).to_numpy()
+        marked |= {len(rows) + index for index, own in enumerate(ranks) if not any(
+            (ranks <= own).all(axis=1) & (ranks < own).any(axis=1)
+        )}
+        cases = place.to_dicts()
+        rows += [
+            [case["case"], *[case["place"]] * several,
+             *(write_range(case, name, COLUMNS[name]) for name in names), case["runs"]]
+            for case in cases
+        ]
+        bounds = [cases[0].get(BOUNDS.get(name, "")) for name in names]
+        if any(each is not None for each in bounds):
+            rows.append(["minimum possible", *[cases[0]["place"]] * several, *(
+                "" if each is None else write(each, COLUMNS[name])
+                for name, each in zip(names, bounds, strict=True)
+            ), ""])
     return Table(
         "Means (lowest to highest run), sorted by the first result; bold: no other case is better "
-        "in all shown results", columns, rows, frozenset(marked),
-    )
-
-
-def _is_beaten(case: CaseRuns, place: Sequence[CaseRuns], metrics: Sequence[str]) -> bool:
-    """Return whether another case is as good in all metrics and better in one."""
-    own, *others = (
-        [rank(name, each.row[name]) for name in metrics] for each in (case, *place)
-    )
-    return any(
-        other != own and all(map(float.__le__, other, own)) for other in others
+        "in all shown results",
+        ["case", *["place"] * several, *(COLUMNS[name] for name in names), "runs"], rows,
+        frozenset(marked),
     )
 
 
 def make_full_table(report: Report) -> Part:
     """Return the table of all results, or where they are if there are too many cases."""
-    if len(report.cases) > _MAX_CASES:
+    cases = [case for place in report.places for case in place.to_dicts()]
+    if len(cases) > _MAX_CASES:
         return "All results of every run are in results.csv of the study."
-    labels = [
-        f"{case.label}, {name}".rstrip(", ")
-        for place in report.places for name in [report.name_place(place)] for case in place
-    ]
+    labels = [f"{case['case']}, {case['place']}".rstrip(", ") for case in cases]
     return Table("Means (lowest to highest run)", ["result", *labels], [
-        [column.heading, *(_cell(case, name) for case in report.cases)]
-        for name, column in COLUMNS.items() if any(name in case.ranges for case in report.cases)
+        [COLUMNS[name].heading, *(write_range(case, name, COLUMNS[name]) for case in cases)]
+        for name in report.metrics
     ])
 
 
 def make_notes(report: Report) -> list[str]:
-    """Return the notes for the reader, each with the number of runs to which it applies."""
-    texts = Counter(
-        text for run in report.runs for text in (
-            *run.notes,
-            *(shorten(run.row[name], _MAX_NOTE) for name in _TEXTS if run.row.get(name)),
-        )
-    )
-    notes = [f"{text} ({_of(count, report)})" for text, count in texts.items()]
-    for name, text in _NOTED.items():
-        if values := [value for run in report.runs if (value := run.row.get(name))]:
-            notes.append(f"{text}: up to {max(values):.4g} ({_of(len(values), report)})")
-    return notes
-
-
-def _of(count: int, report: Report) -> str:
-    return f"{count} of {number_of(len(report.runs), 'run')}"
-
-
-def _rest(report: Report) -> list[Part]:
-    """Return what the ranges cover, and the parameters of the sites."""
-    years = sorted({year for case in report.cases for year in case.years if year})
-    seeds = {run.row.get("forecast_seed") for run in report.runs} - {None, ""}
-    covered = [
-        *([f"the seasons of {years[0]} to {years[-1]}"] if years else []),
-        *([f"{len(seeds)} random seeds"] if len(seeds) > 1 else []),
-    ]
-    forecasts = sorted({str(run.row.get("forecast") or "perfect") for run in report.runs})
-    sites = {str(run.row["site"]): run.site for run in report.runs}
+    """Return the notes for the reader, most with the number of runs to which they apply."""
+    runs = report.sources.runs
+    texts = Counter(text for run in runs for text in (
+        f"forecast: {run.row.get('forecast') or 'not known'}", *run.notes,
+        *(shorten(run.row.get(name) or "", _MAX_NOTE) for name in ("notes", "weather_notes")),
+        *(meaning for name, meaning in _NOTED.items() if run.row.get(name)),
+    ) if text)
     return [
-        [
-            f"The ranges cover {' and '.join(covered) or 'single runs: they show no spread'}, but "
-            "not the uncertainty of the parameters below.",
-            f"Forecasts: {', '.join(forecasts)}.", *make_notes(report),
-        ],
-        Table("Parameters", ["parameter", "unit", "meaning", *sites], [
-            [known.name, known.unit, known.meaning, *values] for known in parameters_of(Site)
-            if any(values := [getattr(site, known.name) for site in sites.values()])
-        ]),
+        "The ranges cover the seasons and the random seeds of the runs, but not what is assumed "
+        "below. greenroof size runs both ends of each assumption.",
+        *(f"{text} ({count} of {number_of(len(runs), 'run')})" for text, count in texts.items()),
     ]
+
+
+def _list_assumptions(report: Report) -> Table:
+    """Return the assumptions that matter, with both ends."""
+    sites = dict.fromkeys(run.site for run in report.sources.runs)
+    return Table(
+        "Assumptions: the range in which each probably lies",
+        ["assumption", "low", "used", "high", "source of the range"], [
+            [each.label, f"{each.low:g}", ", ".join(
+                f"{value:g}" for value in sorted({getattr(site, each.name) for site in sites})
+            ), f"{each.high:g}", each.source]
+            for each in dict.fromkeys(end.assumption for site in sites for end in list_ends(site))
+        ],
+    )

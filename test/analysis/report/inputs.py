@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import dataclasses
-import itertools
 import shutil
 import subprocess
 from collections.abc import Sequence
@@ -26,8 +25,7 @@ from greenroof_ros.analysis.figures import Figure
 from greenroof_ros.analysis.report.cases import Report
 from greenroof_ros.analysis.report.figures import make_figures
 from greenroof_ros.analysis.report.page import render
-from greenroof_ros.analysis.report.sources import find_runs
-from greenroof_ros.physics.storm_water import Event
+from greenroof_ros.analysis.report.runs import find_runs
 from greenroof_ros.results.trajectory import Trajectory
 from greenroof_ros.simulation import summary
 from greenroof_ros.simulation.loop import Simulation, record
@@ -61,7 +59,6 @@ class Simulated(NamedTuple):
     trajectory: Trajectory
     row: dict[str, Any]
     run: Run
-    events: list[Event]
 
 
 @cache
@@ -73,15 +70,11 @@ def simulate(controller: str, option: str, initial: str, hours: str = "0.2") -> 
     )
     simulation = Simulation(run)
     trajectory = record(run, simulation.ticks())
-    results = simulation.metrics.results(simulation.site.state)
     return Simulated(trajectory, {
-        "site": "site.yaml", "weather": "toronto_2021-07.csv", "start": run.start.isoformat(),
-        "hours": hours, "evapotranspiration": "published", "forecast": "perfect",
-        "controller": controller, "initial": initial, "cistern_m3": run.x1, "roof_m3": run.x2,
-        f"parameter:{key}": option, "status": "done", "error": "",
-        **results.metrics,
-        "frost_hours": 0.0,
-    }, run, results.events)
+        "site": "site.yaml", "start": run.start.isoformat(), "initial": initial, "window": "July",
+        "season": "", "case": f"{controller} {key} {option}", "status": "done", "error": "",
+        **simulation.metrics.results(simulation.site.state).metrics,
+    }, run)
 
 
 def write_study(
@@ -91,9 +84,8 @@ def write_study(
     configuration = directory / "configuration"
     configuration.mkdir(parents=True)
     shutil.copy(CONFIG / "site.yaml", configuration / "site.yaml")
-    (configuration / "study.json").write_text('{"versions": {"greenroof_ros": "0.2.0"}}')
-    runs = [(grouped(row), trajectory) for row, trajectory in runs]
-    header = dict.fromkeys(["run", *(key for row, _ in runs for key in row), "error"])
+    (configuration / "study.json").write_text("{}")
+    header = dict.fromkeys(["run", *(key for row, _ in runs for key in row)])
     with (directory / "results.csv").open("w", newline="") as stream:
         writer = csv.DictWriter(stream, header, restval="")
         writer.writeheader()
@@ -108,39 +100,6 @@ def write_study(
     return directory
 
 
-def grouped(row: dict[str, Any]) -> dict[str, Any]:
-    """Return a row with its columns of a group, unless it has them."""
-    given = [f"{key.partition(':')[2]} {value}" for key, value in row.items()
-             if key.startswith("parameter:") and value not in (None, "")]
-    skill = [f"skill {row['forecast_skill']}"] if row.get("forecast_skill") else []
-    return {
-        "window": f"{row['site']} {row['start']} {row['hours']} {row['evapotranspiration']}",
-        "case": " ".join([row["controller"], *given, *skill]), "season": "", **row,
-    }
-
-
-def seeded_rows(row: dict[str, Any]) -> list[dict[str, Any]]:
-    """Return 2 windows x 2 initial states x 3 settings x 2 skills x 25 seeds of made-up totals.
-
-    The totals of seed n = 1..25 are the base + n m3, times 1 with useless forecasts and
-    2 with real ones.
-    """
-    windows = ("2021-07-07T02:00:00-05:00", "12.0"), ("2021-07-20T02:00-05:00", "24")
-    states = ("low-low", 500), ("high-low", 400)
-    settings = (
-        ("mpc", "weight", "0.01", 900), ("onoff", "fraction", "0.5", 1000),
-        ("onoff", "fraction", "2", 2000),
-    )
-    return [
-        {**row, "start": start, "hours": hours, "initial": initial, "controller": name,
-         "parameter:fraction": "", f"parameter:{key}": value, "forecast": "ensemble",
-         "forecast_skill": skill, "forecast_seed": seed, "forecast_members": 10, "fallbacks": seed,
-         "bound_m3": bound, "total_deviation_m3": (base + seed) * times}
-        for (start, hours), (initial, bound), (name, key, value, base), (skill, times), seed
-        in itertools.product(windows, states, settings, (("real", 2), ("none", 1)), range(1, 26))
-    ]
-
-
 def report_of(*paths: Path) -> Report:
     """Read and judge the runs under these paths."""
     return Report(find_runs(list(paths)))
@@ -151,10 +110,9 @@ def study_of(directory: Path, *rows: dict[str, Any]) -> Report:
     return report_of(write_study(directory, [(row, None) for row in rows]))
 
 
-def page_of(source: Path | Report, *further: Path) -> str:
-    """Return the text of the page on a report or on paths, without figures and extra spaces."""
-    html = render(source if isinstance(source, Report) else report_of(source, *further), [])
-    return " ".join(html.partition("<body>")[2].partition("</main>")[0].split()).replace("<br>", "")
+def page_of(report: Report) -> str:
+    """Return the text of the page, without figures and extra spaces."""
+    return " ".join(render(report, []).partition("<body>")[2].partition("</main>")[0].split())
 
 
 def figures_of(report: Report) -> dict[str, Figure]:

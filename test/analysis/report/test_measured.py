@@ -9,10 +9,9 @@ import numpy as np
 import pytest
 from inputs import trajectory_of
 from paper import PAPER_SITE, paper_run, site_file
-from places import CONFIG
 
-from greenroof_ros.analysis.report.recorded import compute_results
 from greenroof_ros.results.metrics import METRICS
+from greenroof_ros.results.recorded import compute_results
 from greenroof_ros.simulation.loop import simulate
 
 TARGET = 68.8 * 0.0457
@@ -37,8 +36,7 @@ def test_samples_of_a_real_site() -> None:
     }
     assert {name: row[name] for name in expected} == pytest.approx(expected, rel=1e-12)
     for unknown in ("precipitation", "drainage"):
-        row = compute_results(PAPER_SITE, trajectory, [unknown])
-        assert "roof_retention_share" not in row
+        assert "roof_retention_share" not in compute_results(PAPER_SITE, trajectory, [unknown])
 
 
 def check_tally(*options: str) -> dict[str, float]:
@@ -55,7 +53,7 @@ def check_tally(*options: str) -> dict[str, float]:
     if run.site.low_outlet_level is not None and not run.site.low_outlet_valve:
         known -= {"overflow_m3", "overflow_days"}  # no topic has what an outlet without valve takes
     for kept in (trajectory, late):
-        row = compute_results(run.site, kept, without_rain=run.without_rain_s)
+        row = compute_results(run.site, kept)
         assert row == {name: value for name, value in results.items() if name in known}
     return results
 
@@ -91,12 +89,3 @@ def test_the_simulations_own_tally(tmp_path: Path) -> None:
     row = check_tally(*options, "drain", "--cistern", "45", "--roof", "2.7")
     assert row["mains_m3"] > 0.1 and row["overflow_m3"] == row["overflow_days"] == 0
     assert row["discharge_m3"] == pytest.approx(0.2 * row["drainage_m3"])
-
-
-def test_a_long_record() -> None:
-    """Six days with ticks of a second are added up by the compiled function, if there is one."""
-    row = check_tally(
-        "--weather", str(CONFIG / "weather" / "toronto_2021.csv"), "--start", "2021-07-05T00:00",
-        "--hours", "144", "--site", str(CONFIG / "site_neubrandenburg.yaml"),
-    )
-    assert row["steps"] == 518_400 and row["pumped_m3"] > 0.1 and row["rain_m3"] > 0.1

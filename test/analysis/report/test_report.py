@@ -7,32 +7,26 @@ import struct
 from pathlib import Path
 from typing import Any
 
-from inputs import command, figures_of, report_of, seeded_rows, simulate, study_of, write_study
+from inputs import command, figures_of, page_of, report_of, simulate, study_of, write_study
 from places import CONFIG
 from refusals import refusal
-from studies import record, run_here
 
-from greenroof_ros.analysis.report.cases import BOUND, TOTAL
+import greenroof_ros as gr
 from greenroof_ros.analysis.report.page import answer, make_full_table, make_notes, make_table
+from greenroof_ros.analysis.report.runs import TOTAL
 
-YEARS = range(2015, 2026)
-ONOFF = {year: 100.0 + 10 * (year - 2015) for year in YEARS}
+ONOFF = {year: 100.0 + 10 * (year - 2015) for year in range(2015, 2026)}
 
 
 def rows(case: str, seed: int | None, totals: dict[int, float], **more: Any) -> list[Any]:
     """Return runs of 16 days, one for each year."""
-    forecast: dict[str, Any] = {"forecast": "perfect"}
-    if seed is not None:
-        forecast = {"forecast": "errors", "forecast_skill": "real", "forecast_seed": seed}
     return [
         {
-            "site": "site.yaml", "weather": f"{year}.csv", "start": f"{year}-05-01T00:00:00-05:00",
-            "hours": 384.0, "evapotranspiration": "fao56", **forecast, "controller": "onoff",
-            "initial": "low-low", "cistern_m3": 57.7, "roof_m3": 2.4, "status": "done",
-            TOTAL: total, "near_target_hours": 96.0, "mains_m3": 2.0 + (seed or 0),
-            "bound_m3": 50.0, "window": "May", "season": "from 01 May", "case": case, **more,
-        }
-        for year, total in totals.items()
+            "site": "site.yaml", "start": f"{year}-05-01T00:00:00-05:00", "window": "May",
+            "season": "from 01 May", "initial": "low-low", "case": case, "forecast_seed": seed,
+            "status": "done", "error": "", TOTAL: total, "mains_m3": 2.0 + (seed or 0),
+            "near_target_hours": 96.0, "pumped_m3": 7.0, "bound_m3": 50.0, **more,
+        } for year, total in totals.items()
     ]
 
 
@@ -45,21 +39,19 @@ def test_means_by_hand(tmp_path: Path) -> None:
         tmp_path / "study", *onoff, *rows("other", 1, ONOFF), *rows("other", 2, lower)
     )
     table = make_table(report)
-    assert table.headings() == [
-        "case", "total deviation (m³)", "runs", "difference from on/off (m³)",
-        "years in which it is better",
-    ]
+    assert table.headings() == ["case", "total deviation (m³)", "runs"]
     assert table.texts() == [
-        ["other", "140 (80 to 200)", "22", "-10", "11 of 11"],
-        ["on/off", "150 (100 to 200)", "11", "", ""], [BOUND, "50", "", "", ""],
+        ["other", "140 (80 to 200)", "22"], ["on/off", "150 (100 to 200)", "11"],
+        ["minimum possible", "50", ""],
     ]
     assert table.marked == {0}
     # The mean is over years with a share; without one there is no number.
     full = {name: texts for name, *texts in make_full_table(report).texts()}  # type: ignore[union-attr]
     assert full["retention of the roof (%)"] == ["none", "62 (50 to 75)"]
     assert answer(report) == (
-        "Best by total deviation: other. Means: total deviation 140 (80 to 200) m³. With on/off: "
-        "total deviation 150 (100 to 200) m³."
+        "Best by total deviation: other. For other: total deviation 140 (80 to 200) m³. "
+        "With on/off: 150 (100 to 200) m³. Covered: site.yaml, latitude and longitude "
+        "43.63, -79.4, seasons of 2015 to 2025."
     )
     assert list(figures_of(report)) == ["comparison", "seasons"]
 
@@ -81,15 +73,17 @@ def test_a_study_shows_what_it_asks(tmp_path: Path) -> None:
     shutil.copy(CONFIG / "site_valve.yaml", tmp_path / "study" / "configuration" / "site.yaml")
     report = report_of(tmp_path / "study")
     table = make_table(report)
-    assert table.headings()[:5] == [
-        "case", "discharge in wet weather (m³)", "discharge (m³)", "retention (%)",
-        "mains water used (m³)",
+    assert table.headings()[1:5] == [
+        "discharge in wet weather (m³)", "discharge (m³)", "retention (%)", "mains water used (m³)",
     ]
     assert [texts[:5] for texts in table.texts()] == [
         ["drain", "10", "80", "27", "7 (6 to 8)"], ["closed", "30", "80", "27", "2"],
-        ["worse", "40", "none", "none", "9"], [BOUND, "8", "", "", "5"],
+        ["worse", "40", "none", "none", "9"], ["minimum possible", "8", "", "", "5"],
     ]
     assert table.marked == {0, 1}
+    data = figures_of(report)["comparison"].panels[0].chart.to_dict()["datasets"]
+    points = [row for values in data.values() for row in values]
+    assert {"case": "minimum possible", "wet_discharge_m3": 8, "mains_m3": 5} in points
     asked = tmp_path / "study" / "configuration" / "study.json"
     asked.write_text('{"show": ["near_target_hours"]}')
     report = report_of(tmp_path / "study")
@@ -98,76 +92,64 @@ def test_a_study_shows_what_it_asks(tmp_path: Path) -> None:
     refusal(report_of, tmp_path / "study", match="show = 'nothing'")
 
 
-def test_seeds_belong_together(tmp_path: Path) -> None:
-    """A case of 25 seeds in each of four places: mean and range by hand."""
-    seeded = seeded_rows(simulate("onoff", "0.5", "low-low").row)
-    seeded[0] |= {"status": "failed", "error": "no solution", TOTAL: ""}
-    report = study_of(tmp_path / "study", *seeded)
-    assert (len(report.cases), len(report.places), len(report.sources.failed)) == (24, 4, 1)
-    (text,) = (
-        texts for texts in make_table(report).texts()
-        if texts[0] == "onoff fraction 0.5 skill none" and "from low-low" in texts[1]
-        and "07-07" in texts[1]
+def test_places_are_named_by_what_differs(tmp_path: Path) -> None:
+    """Windows and initial states, each of which has a best case; assumptions have both ends."""
+    a, b = rows("a", None, {2020: 1.0}), rows("b", None, {2020: 2.0}, limited_steps=4)
+    report = study_of(
+        tmp_path / "study", *a, *b,
+        *rows("a", None, {2020: 4.0}, window="June", initial="half"),
+        *rows("b", None, {2020: 3.0}, window="June", initial="half"),
+        *rows("b", None, {2020: 3.0}, window="July", status="failed", error="no <solution>"),
     )
-    assert text[2:] == ["1013 (1001 to 1025)", "25"]
-    assert "in 4 of 4 comparisons" in answer(report)
-    assert isinstance(make_full_table(report), str)
-    (note,) = (note for note in make_notes(report) if "solver" in note)
-    assert note.endswith("up to 25 (599 of 599 runs)")
-    (panel, *_) = figures_of(report)["comparison"].panels
-    shown = panel.chart.to_dict()["datasets"]
-    assert {"case": "onoff fraction 0.5 skill none", "x": 1013, "x_low": 1001, "x_high": 1025} in [
-        row for data in shown.values() for row in data
-    ]
-
-
-def test_what_no_real_pump_achieves_is_marked(tmp_path: Path) -> None:
-    row = {**simulate("onoff", "0.5", "low-low").row, "max_command": 2.0}
-    texts = dict(make_full_table(study_of(tmp_path / "study", row)).texts())  # type: ignore[union-attr]
-    assert texts["maximum command"] == "2 ⚠"
+    assert answer(report).startswith(
+        "Best by total deviation: a (May, initial state low-low), b (June, initial state half). "
+        "For May, initial state low-low: total deviation 1 m³. Covered"
+    )
+    equal = [row for case in "ab" for row in rows(case, None, {2020: 1.0})]
+    assert answer(study_of(tmp_path / "equal", *equal, *rows("c", None, {2020: 2.0}))).startswith(
+        "Best by total deviation: a and 1 equal case. For a: "
+    )
+    assert make_notes(report)[1:] == ["forecast: not known (4 of 4 runs)", (
+        "time steps in which a tank contained less water than was demanded (1 of 4 runs)"
+    )]
+    text = page_of(report)
+    for words in (
+        "b, July, initial state low-low</th><td>no &lt;solution&gt;",
+        "coefficient of the solar radiation that was not measured</th><td>0.16</td><td>0.19</td>",
+    ):
+        assert words in text
 
 
 def test_a_study_of_seasons(tmp_path: Path) -> None:
     """A case has the seeds of its forecasts in every year."""
-    record(tmp_path / "record", (2015, 2016))
-    run_here(tmp_path / "record", """
-site: {file: site.yaml, tau: 600.0}
-weather:
-  - {file: "{year}_*.csv", start: "{year}-05-01T00:00", year: {from: 2015, to: 2016}, hours: 192,
-     evapotranspiration: fao56}
-bound_block: 0
-forecast: {model: errors, skill: real, seed: {from: 1, to: 2}}
-initial: low-low
-controllers:
-  onoff: {forecast: perfect}
-  mpc: {weight: 0.01}
-""")
-    report = report_of(tmp_path / "record" / "out")
+    gr.study({
+        "site": gr.read_site(tau=600.0), "evapotranspiration": "monthly", "hours": 192,
+        "weather": str(CONFIG / "weather" / "toronto_2014-2025.csv.gz"), "gaps": "fill",
+        "start": ["2015-05-01", "2016-05-01"], "controller": ["onoff", "anticipating_onoff"],
+        "forecast": "errors", "forecast_seed": [1, 2],
+    }, output=tmp_path / "study")
+    report = report_of(tmp_path / "study")
     assert list(figures_of(report)) == ["comparison", "seasons"]
-    assert sorted(len(case.runs) for case in report.cases) == [2, 4]
-    for case in report.cases:
-        assert [*case.years] == [2015, 2016]
+    (place,) = report.places
+    assert sorted(place["runs"]) == [2, 4]
+    assert sorted(report.years["year"]) == [2015, 2015, 2016, 2016]
 
 
 def test_the_command(tmp_path: Path) -> None:
-    """A page, each figure twice, the runs without results with their errors.
-
-    A previous report is replaced.
-    """
+    """A page, each figure twice, the runs without results; a previous report is replaced."""
     example = simulate("onoff", "2", "low-low", "0.01")
-    failed = {**example.row, "status": "failed", "error": "solver: <gave up>", TOTAL: ""}
-    not_run = {**failed, "parameter:fraction": "3", "status": "not run", "error": ""}
-    runs = (example.row, example.trajectory), (failed, None), (not_run, None)
-    report = write_study(tmp_path / "study", runs) / "report"
+    failed = {**example.row, "status": "failed", "error": "no solution", TOTAL: ""}
+    report = write_study(tmp_path / "study", [
+        (example.row, example.trajectory), (failed, None),
+    ]) / "report"
     (report / "figures").mkdir(parents=True)
     (report / "figures" / "water-7.svg").touch()
     done = command("study", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert str(report / "report.html") in done.stdout
-    assert "failed or were not started: 2" in done.stdout
-    text = (report / "report.html").read_text()
-    for words in ("solver: &lt;gave up&gt;", "2 of 3 runs have no results", "<td>not run</td>"):
-        assert words in text
+    assert "For onoff fraction 2: total deviation" in done.stdout
+    assert "failed or did not finish: 1" in done.stdout
+    assert "<td>no solution</td>" in (report / "report.html").read_text()
     assert {path.name for path in (report / "figures").iterdir()} == {"time-1.svg", "time-1.png"}
     picture = (report / "figures" / "time-1.png").read_bytes()
     width, height = struct.unpack(">II", picture[16:24])

@@ -7,14 +7,11 @@ import json
 import math
 import os
 import shutil
-import time
 from pathlib import Path
 
 import numpy as np
 import polars
 import pytest
-from checked_nodes import changed, start_node
-from graphs import bring_up
 from inputs import (
     MINUTE,
     NAMES,
@@ -22,7 +19,6 @@ from inputs import (
     START_NS,
     TOPICS,
     ended_run,
-    figures_of,
     messages_of,
     page_of,
     report_of,
@@ -32,22 +28,14 @@ from inputs import (
     write_bag,
     write_study,
 )
-from places import CHECKOUT, CONFIG
+from places import CONFIG
 from refusals import refusal
 from rosbags.rosbag2 import StoragePlugin
 
-from greenroof_ros.analysis.report.bags import Row, read_run
 from greenroof_ros.analysis.report.page import make_notes
-from greenroof_ros.analysis.report.sources import find_runs
-from greenroof_ros.base.errors import ConfigurationError
+from greenroof_ros.analysis.report.runs import TOTAL, find_runs, read_run
 from greenroof_ros.commands.recover import recover
 from greenroof_ros.results.trajectory import Trajectory, read_trajectory
-from greenroof_ros.site.file import format_site, read_site
-
-TOTAL = "total_deviation_m3"
-
-
-# --- trajectories --------------------------------------------------------------------------------
 
 
 def test_parquet(tmp_path: Path) -> None:
@@ -74,9 +62,6 @@ def test_parquet(tmp_path: Path) -> None:
         refusal(read_trajectory, file, match="is empty, truncated or not a trajectory")
 
 
-# --- foreign bags --------------------------------------------------------------------------------
-
-
 def test_a_bag_gives_the_runs_numbers(tmp_path: Path) -> None:
     """From the bag only, of either storage, with or without namespace; two are refused."""
     example = simulate("mpc", "0.00001", "low-low")
@@ -85,14 +70,12 @@ def test_a_bag_gives_the_runs_numbers(tmp_path: Path) -> None:
     write_bag(tmp_path / "plain", plain, StoragePlugin.SQLITE3)
     write_bag(tmp_path / "spaced", spaced)
     report = report_of(tmp_path / "plain", tmp_path / "spaced")
-    for row in (run.row for run in report.runs):
-        trajectory, notes = loaded(tmp_path / row["run"])
+    for row in (run.row for run in report.sources.runs):
+        trajectory, notes = loaded(tmp_path / row["case"])
         assert trajectory.start == START and notes == []
         for name in (TOTAL, "pumped_m3", "rain_m3", "drainage_m3", "final_cistern_m3"):
             assert row[name] == pytest.approx(example.row[name], rel=1e-12), name
-        assert (row["controller"], row["initial"]) == ("unknown", "the recorded volumes")
-    assert "the bag contains no site file: the paper" in page_of(report)
-    assert len(report.places) == 2  # foreign bags are not compared
+    assert "there is no site file beside the bag: the paper" in page_of(report)
     both = write_bag(tmp_path / "both", {**plain, **spaced})
     refusal(report_of, both, match=r"from a single graph, but contains .* /, /site1")
 
@@ -102,15 +85,7 @@ def loaded(path: Path) -> tuple[Trajectory, list[str]]:
     run = read_run(path)
     trajectory = run.trajectory()
     assert trajectory is not None
-    return trajectory, [
-        note for note in run.notes if "no site file" not in note and "in UTC" not in note
-    ]
-
-
-def row_of_run(path: Path) -> Row:
-    """Return the row of the only run under a path."""
-    (run,) = find_runs([path]).runs
-    return run.row
+    return trajectory, [note for note in run.notes if "no site file" not in note]
 
 
 def test_a_real_sites_bag(tmp_path: Path) -> None:
@@ -147,73 +122,47 @@ def test_a_real_sites_bag(tmp_path: Path) -> None:
         "/weather/evapotranspiration", "/cistern/outflow", "/roof/drainage", "/weather/frost"
     }
     assert "2021-07-07T07:00:30+00:00 to 2021-07-07T09:00:30+00:00 (2 h)" in gap
-    assert row_of_run(tmp_path / "bag")["pumped_m3"] == pytest.approx(0.004 * (1 + 540))
+    assert read_run(tmp_path / "bag").row["pumped_m3"] == pytest.approx(0.004 * (1 + 540))
     stamps = [15 * number * MINUTE for number in range(8)]
     write_bag(tmp_path / "regular", dict.fromkeys(TOPICS, (stamps, [1e-6] * 8)))
     trajectory, notes = loaded(tmp_path / "regular")
     assert trajectory.pump_flow.tolist() == [1e-6] * 8 and notes == []
 
 
-# --- other bags of a simulation, and what is no bag -----------------------------------------------
-
-
-@pytest.mark.parametrize("namespace", ["", "/site1"])
-def test_a_bag_of_a_simulation_needs_simulated_times(tmp_path: Path, namespace: str) -> None:
-    """A hundred times real time: 20 s in 0.2 s. As a bag, and as its .mcap file alone.
+def test_a_bag_of_a_simulation_needs_simulated_times(tmp_path: Path) -> None:
+    """A hundred times real time: 20 s in 0.2 s. The last one as its .mcap file alone.
 
     With ``--use-sim-time`` a message has the time of the last clock message before it.
     """
-    arrived, simulated = ([tick * unit for tick in range(21)] for unit in (10**7, 10**9))
-    late = [0, *simulated[:-1]]
+    simulated = [tick * 10**9 for tick in range(21)]
+    times = {"arrived": [10**15 + 10**7 * tick for tick in range(21)], "late": [0, *simulated[:-1]]}
     topics = {
-        f"{namespace}/clock": range(21), f"{namespace}/roof/level": [1e-3] * 21,
-        f"{namespace}/cistern/level": [2.0] * 21, f"{namespace}/pump/command": [0.0] * 21,
-        f"{namespace}/pump/flow": [0.004] * 21,
+        "/site1/clock": range(21), "/site1/roof/level": [1e-3] * 21,
+        "/site1/cistern/level": [2.0] * 21, "/site1/pump/command": [0.0] * 21,
+        "/site1/pump/flow": [0.004] * 21,
     }
     bags = {
         name: write_bag(tmp_path / name, {topic: (stamps, of) for topic, of in topics.items()})
-        for name, stamps in (("arrived", [stamp + 10**15 for stamp in arrived]), ("late", late))
+        for name, stamps in times.items()
     }
-    if namespace:
-        bags = {name: next(bag.glob("*.mcap")) for name, bag in bags.items()}
-    with pytest.raises(ConfigurationError, match="record with 'ros2 bag record --use-sim-time'"):
-        loaded(bags["arrived"])
-    assert loaded(bags["late"])[0].time.tolist() == list(range(20))
+    refusal(loaded, bags["arrived"], match="record with 'ros2 bag record --use-sim-time'")
+    (file,) = bags["late"].glob("*.mcap")
+    assert loaded(file)[0].time.tolist() == list(range(20))
 
 
-@pytest.mark.parametrize(("stamp", "times", "gap"), [
-    (0, [0, 1625641200, 1625641201, 1625641202], "1970-01-01T00:00:00+00:00 to 2021-07-07T07:00"),
-    (2**62, [0, 1, 2, 2986044818.427388], "2021-07-07T07:00:02+00:00 to 2116-02-20T23:53:38+00:00"),
-])
-def test_messages_of_a_clock_that_was_not_set(
-    tmp_path: Path, stamp: int, times: list[float], gap: str
-) -> None:
-    """In 1970, or in 2116: their times count as they stand, and the note on gaps tells."""
-    stamps = sorted([stamp - START_NS, 0, 10**9, 2 * 10**9])
+def test_messages_of_a_clock_that_was_not_set(tmp_path: Path) -> None:
+    """In 1970: their times count as they stand, the note on gaps tells, and of the gap remains 7 h.
+
+    The pump's 10 L/s hold for a second, and not in the gap.
+    """
+    stamps = [-START_NS, 0, 10**9, 2 * 10**9]
     bag = write_bag(tmp_path / "bag", dict.fromkeys(list(TOPICS)[:4], (stamps, [0.01] * 4)))
     trajectory, notes = loaded(bag)
-    assert trajectory.time.tolist() == pytest.approx(times, abs=1e-6)
+    assert trajectory.time.tolist() == [0, 1625641200, 1625641201, 1625641202]
     (note,) = (note for note in notes if "gap" in note)
-    assert gap in note and note.endswith("was a clock not set?")
-    assert "was a clock not set?" in page_of(bag)
-
-
-def test_a_bag_that_lacks_a_file(tmp_path: Path) -> None:
-    """It is named, and nothing can recover it."""
-    bag = small_bag(tmp_path / "bag")
-    (part,) = bag.glob("*.mcap")
-    part.rename(tmp_path / part.name)
-    refusal(read_run, bag, match=f"{bag}: cannot be read as a bag: .*missing: .*{part.name}")
-
-
-def test_a_file_that_is_no_bag_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "run.MCAP").write_bytes(b"no bag")
-    words = r"cannot be read as a bag.*[^.]\. If it is damaged, "
-    with pytest.raises(ConfigurationError, match=words):
-        loaded(tmp_path / "run.MCAP")
-    (tmp_path / "run.txt").write_text("no bag")
-    with pytest.raises(ConfigurationError, match=r"or an \.mcap file"):
-        report_of(tmp_path / "run.txt")
+    assert "1970-01-01T00:00:00+00:00 to 2021-07-07T07:00" in note
+    assert note.endswith("was a clock not set?") and note in page_of(report_of(bag))
+    assert read_run(bag).row["pumped_m3"] == pytest.approx(0.02)
 
 
 def test_values_out_of_their_range_are_left_out_and_noted(tmp_path: Path) -> None:
@@ -256,192 +205,89 @@ def test_the_limits_are_the_sites(tmp_path: Path) -> None:
     assert left_out == [f"/{name.replace('_', '/')}" for name in highest]
 
 
-@pytest.mark.parametrize(("recorded", "known"), [
-    ((), 0), (("cistern_outflow",), 2), (("roof_drainage",), 0),
-    (("cistern_outflow", "roof_drainage"), 10),
-])
-def test_discharge_that_nobody_recorded(
-    tmp_path: Path, recorded: tuple[str, ...], known: int
-) -> None:
+def test_discharge_that_nobody_recorded(tmp_path: Path) -> None:
     """A live site has no flow meter in its outlet: then nothing is known, not that nothing came.
 
     The outflow alone tells the overflow, which has two results.
     """
-    run = read_run(small_bag(tmp_path / "bag", **{name: [1e-3] * 3 for name in recorded}))
-    found = {name for name in run.row if "discharge" in name or "overflow" in name}
-    assert len(found) == known
-    if len(recorded) == 2:
-        assert run.row["discharge_m3"] == pytest.approx(4e-3)
-
-
-# --- run directories -----------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(("without_rain", "wet"), [(".inf", 0.0), ("0.0", 2e-3)])
-def test_the_weather_before_a_run_that_did_not_end(
-    tmp_path: Path, without_rain: str, wet: float
-) -> None:
-    """Its plant knows the rain before it: 2 L of outflow and no rain, in wet weather after rain."""
-    path = ended_run(tmp_path / "run", "interrupted")
-    shutil.rmtree(path / "bag")
-    small_bag(path / "bag", cistern_outflow=[1e-3] * 3, roof_drainage=[0.0] * 3)
-    (path / "configuration" / "parameters.yaml").write_text(
-        f"/**/plant: {{ros__parameters: {{time_without_rain: {without_rain}}}}}"
-    )
-    row = read_run(path).row
-    assert (row["discharge_m3"], row["wet_discharge_m3"]) == pytest.approx((2e-3, wet))
+    for recorded, known in (
+        ((), 0), (("cistern_outflow",), 2), (("roof_drainage",), 0),
+        (("cistern_outflow", "roof_drainage"), 10),
+    ):
+        name = "-".join(recorded) or "none"
+        run = read_run(small_bag(tmp_path / name, **{each: [1e-3] * 3 for each in recorded}))
+        assert len([key for key in run.row if "discharge" in key or "overflow" in key]) == known
+    assert run.row["discharge_m3"] == pytest.approx(4e-3)
 
 
 def test_results_of_a_run_that_is_done_are_its_own(tmp_path: Path) -> None:
-    """From its summary: with sensor errors the bag's roof is a reading, which a note tells."""
+    """From its summary, with its notes: the bag's roof can be the reading of a sensor with errors.
+
+    Changed parameters are noted.
+    """
     example = simulate("onoff", "2", "low-low", "0.05")
     results = {name: example.row[name] for name in (TOTAL, "pumped_m3", "final_roof_m3")}
     off = dataclasses.replace(example.trajectory, roof=example.trajectory.roof + 0.5)
     report = report_of(ended_run(
-        tmp_path / "noisy", example=example._replace(trajectory=off), **results,
-        sensor_and_pump={"roof_offset": 0.005},
+        tmp_path / "noisy", example=example._replace(trajectory=off), **results, limited_steps=4,
+        parameter_change_count=2, solver={"fallbacks": 3}, weather_notes=["rain was moved"],
     ))
-    row = report.cases[0].row
-    assert {name: row[name] for name in results} == results
-    (note,) = (note for note in make_notes(report) if "reading of its sensor" in note)
-    assert "roof_offset 0.005 m" in note
-
-
-def test_notes_of_a_run_directory(tmp_path: Path) -> None:
-    """Fallbacks, repeated forecasts, filled hours: by name, and on the page."""
-    path = ended_run(
-        tmp_path / "run", example=simulate("onoff", "0.5", "low-low", "0.01"), limited_steps=4,
-        solver={"fallbacks": 3}, filled_hours=1, weather_notes=["rain was moved an hour back"],
-    )
-    report = report_of(path)
+    (run,) = report.sources.runs
+    assert {name: run.row[name] for name in results} == results
     notes = "\n".join(make_notes(report))
-    for words in ("ran empty", "no solution", "were filled", "rain was moved an hour back"):
+    for words in ("less water than was demanded", "no solution", "rain was moved", "2 changes"):
         assert words in notes
-    assert any("wettest hour" in line for line in report.runs[0].weather)
+    assert (run.row["site"], run.row["initial"]) == ("site.yaml", "low-low")
+    assert "controller onoff, fraction 2.0" in report.sources.read[0]
 
 
-def test_a_foreign_summary_leaves_the_numbers(tmp_path: Path) -> None:
-    """A bad file next to a good bag does not matter: the directory's name is the label."""
+def test_a_damaged_summary(tmp_path: Path) -> None:
+    """It is named: without it, the run's own results are not known."""
     small_bag(tmp_path / "run" / "bag")
     (tmp_path / "run" / "configuration").mkdir()
-    for text in ("{", "[1]", "", '{"name": "x"}', '{"controller": 5}', "[" * 100_000):
+    for text in ("{", "[1]"):
         (tmp_path / "run" / "summary.json").write_text(text)
-        (run,) = find_runs([tmp_path / "run"]).runs
-        labels = [run.row[key] for key in ("run", "controller", "initial")]
-        assert labels == ["run", "unknown", "the recorded volumes"]
-        reason = "summary.json next to the bag is damaged or was written by another"
-        assert any(note.startswith(reason) for note in run.notes), text
-        assert run.row["pumped_m3"] == pytest.approx(0.002)
+        refusal(find_runs, [tmp_path / "run"], match="summary.json: is not the summary of a run")
 
 
 def test_names_distinguish_paths(tmp_path: Path) -> None:
     """Runs are named by their directories; the cases of two studies stay apart."""
-    paths = [tmp_path / place for place in ("mon/bag", "tue/bag", "x/a/deep", "y/a/deep", "one")]
-    for path in paths:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        small_bag(path)
-    names = [run.name for run in find_runs([paths[0].parent, *paths[1:3], paths[4]]).runs]
-    assert names == ["mon", "bag", "deep", "one"]
+    bags = [small_bag(tmp_path / place) for place in ("tue", "x-deep", "y-deep")]
+    names = [tmp_path / "x" / "deep", tmp_path / "y" / "deep"]
+    for bag, name in zip(bags[1:], names, strict=True):
+        shutil.copytree(bag, name)
+    runs = find_runs([bags[0], *names]).runs
+    assert [run.row["case"] for run in runs] == ["tue", *map(str, names)]
     row = simulate("onoff", "0.5", "low-low").row
     studies = [write_study(tmp_path / place / "study", [(row, None)]) for place in ("a", "b")]
-    report = report_of(*studies)
-    assert [case.place[0].startswith(f"{study}/") for case, study in zip(
-        report.cases, studies, strict=True
-    )] == [True, True]
-
-
-# --- graphs --------------------------------------------------------------------------------------
-
-
-# The example's pump, but with 1 L/s, and an impossible flow in every tenth tick from the first on.
-BAD_FLOWS = """
-import itertools
-BAD = [math.nan, 5.0, -0.001, math.inf]
-flows = (0.001 if tick % 10 else BAD[tick // 10 % 4] for tick in itertools.count())
-rclpy.init()
-"""
-
-
-def test_a_run_of_the_graph(domain: int, tmp_path: Path) -> None:
-    """Bringup's bag gives the numbers of the summary, and the labels of the run.
-
-    By hand: 9 of 10 ticks of 1 L/s, 12 starts, because refused flows act as 0.
-    """
-    pytest.importorskip("rclpy", reason="the graph needs ROS 2")
-    bad = changed((CHECKOUT / "examples/pump_driver.py").read_text(), "rclpy.init()\n", BAD_FLOWS)
-    bad = changed(bad, ".publish(flow)", ".publish(Float64(data=next(flows)))")
-    driver = start_node(domain, tmp_path, "pump_driver", bad)
-    try:
-        summary = bring_up(
-            domain, tmp_path, "--hours", str(120 / 3600), "--controller", "onoff",
-            "--pump", "external",
-        )
-    finally:
-        driver.kill()
-        driver.wait(60)
-    assert summary["refused"] == {"/pump/flow": 13}  # in ticks 0 to 120
-    assert summary["pumped_m3"] == pytest.approx(108 * 0.001, rel=1e-12)
-    assert summary["pump_starts"] == 12
-    (run,) = find_runs([tmp_path / "run"]).runs
-    row = run.row
-    assert (row["controller"], row["initial"], row["site"]) == ("onoff", "low-low", "site.yaml")
-    rejected = "13 of 121 values of /pump/flow were rejected"
-    assert any(note.startswith(rejected) for note in run.notes)
-    killed = {key: summary[key] for key in list(summary)[: list(summary).index("frost_hours")]}
-    (tmp_path / "run" / "summary.json").write_text(json.dumps({**killed, "status": "running"}))
-    worked_out = row_of_run(tmp_path / "run")
-    for name in (TOTAL, "pumped_m3", "rain_m3", "drainage_m3", "final_roof_m3"):
-        assert worked_out[name] == pytest.approx(summary[name], rel=1e-12, abs=1e-15), name
-    assert list(figures_of(report_of(tmp_path / "run"))) == ["time-1"]
+    places = [place["place"][0] for place in report_of(*studies).places]
+    assert places == [f"{study}, July" for study in studies]
 
 
 def test_what_the_plant_refuses_acts_as_zero(tmp_path: Path) -> None:
-    """In this package's runs: command, rain and evapotranspiration; the plant's flow is kept."""
-    path = ended_run(tmp_path / "run")
-    shutil.rmtree(path / "bag")
-    small_bag(
-        path / "bag", pump_command=[math.nan, 2000.0, 0.5], pump_flow=[0.0, 8.0, 0.0],
-        weather_precipitation=[2e-3, 1e-6, 0.0], weather_evapotranspiration=[-1.0, 1e-6, math.inf],
-    )
-    trajectory, notes = loaded(path)
-    assert trajectory.command.tolist() == [0, 2000, 0.5]
-    assert trajectory.pump_flow.tolist() == [0, 8, 0]
-    assert trajectory.precipitation.tolist() == [0, 1e-6, 0]
-    assert trajectory.evapotranspiration.tolist() == [0, 1e-6, 0]
-    refused = {note.split()[5]: note.split()[0] for note in notes if "rejected" in note}
-    assert refused == {
-        "/pump/command": "1", "/weather/precipitation": "1", "/weather/evapotranspiration": "2"
-    }
+    """In this package's runs: command, rain and evapotranspiration; the plant's flow is kept.
 
-
-# --- how runs ended, and their alarms -----------------------------------------------------------
-
-
-def test_a_changed_parameter(tmp_path: Path) -> None:
-    """It is noted; runs of one window are named by what differs, or by their directories."""
-    changes = [{"tick": 300, "parameter": "weight", "before": 0.001, "value": 0.00001}]
-    paths = [
-        ended_run(tmp_path / "run", parameter_changes=changes),
-        ended_run(tmp_path / "other"),
-        ended_run(tmp_path / "third", example=simulate("mpc", "0.01", "low-low")),
-    ]
-    both = report_of(*paths)
-    (place,) = both.places  # each has a copy of the same site
-    assert {case.label for case in place} == {
-        "mpc weight 0.001", f"mpc weight 0.001 ({paths[1]})", "mpc weight 0.01"
-    }
-    assert "weight was changed from 0.001 to 1e-05 at tick 300 (1 of 3 runs)" in make_notes(both)
-    # Another site is another window.
-    site = paths[1] / "configuration" / "site.yaml"
-    site.write_text(format_site(read_site(site, {"a2": 50.0})))
-    assert len(report_of(*paths).places) == 2
+    The flow of an external pump, which the summary tells, is none of the plant's.
+    """
+    for name, refused, flow in (("own", {}, 8.0), ("external", {"/pump/flow": 1}, 0.0)):
+        path = ended_run(tmp_path / name, refused=refused)
+        shutil.rmtree(path / "bag")
+        small_bag(
+            path / "bag", pump_command=[math.nan, 2000.0, 0.5], pump_flow=[0.0, 8.0, 0.0],
+            weather_precipitation=[2e-3, 1e-6, 0.0], weather_evapotranspiration=[-1.0, 1e-6, 0.0],
+        )
+        trajectory, notes = loaded(path)
+        assert trajectory.command.tolist() == [0, 2000, 0.5]
+        assert trajectory.pump_flow.tolist() == [0, flow, 0]
+        assert trajectory.precipitation.tolist() == [0, 1e-6, 0]
+        assert trajectory.evapotranspiration.tolist() == [0, 1e-6, 0]
+        rejected = [note.split()[5] for note in notes if "rejected" in note]
+        topics = {"/pump/command", "/weather/precipitation", "/weather/evapotranspiration"}
+        assert {*rejected} == topics | refused.keys()
 
 
 def test_how_runs_ended(tmp_path: Path) -> None:
-    """It stands above all results.
-
-    A run without data is refused with the reason it failed; next to others it is listed.
-    """
+    """It stands above all results: of runs without data, and of others, for the recorded part."""
     reason = "node weather ended (SIGKILL); its last lines:\n  none"
     broken = ended_run(tmp_path / "broken", "failed", last_tick=72, reason=reason)
     done = ended_run(tmp_path / "done")
@@ -450,25 +296,21 @@ def test_how_runs_ended(tmp_path: Path) -> None:
     silent = ended_run(tmp_path / "silent", "interrupted", last_tick=0)
     shutil.rmtree(silent / "bag")
     small_bag(silent / "bag", roof_level=[], cistern_level=[], pump_command=[], pump_flow=[])
-    match = "nothing failed: the run did not start within 30 s; .*: no bag"
-    refusal(report_of, nothing, match=match)
-    refusal(report_of, silent, match="For example, silent was interrupted at tick 0 of 720")
-    ending = (
-        "failed at tick 72 of 720 (00:01:12): node weather ended (SIGKILL); its last lines: none"
-    )
+    refusal(report_of, nothing, match="no run has .*: failed, the run did not start within 30 s; ")
     report = report_of(done, broken, nothing, silent)
-    assert [run for run, *_ in report.sources.failed] == ["nothing", "silent"]
-    assert any(f"{ending}: all results are for the recorded" in note for note in make_notes(report))
-    text = page_of(report)
-    assert f"broken {ending}" in text.partition("<table>")[0]
-    assert "2 of 4 runs have no results" in text.partition("<table>")[0]
+    assert len(report.sources.runs) == 2
+    failed = dict(report.sources.failed)
+    assert failed.keys() == {"broken", "nothing", "silent"}
+    assert failed["broken"] == (
+        "failed, node weather ended (SIGKILL); its last lines: none; its results are for the "
+        "recorded part only"
+    )
+    assert failed["silent"].startswith("interrupted, no reason known; ")
+    assert "its last lines: none" in page_of(report).partition("<h2>Results")[0]
 
 
 def test_a_live_site(tmp_path: Path) -> None:
-    """Its alarms, in local standard time; its site is the one it ran with.
-
-    An impossible sensor value is left out; it did not act as 0 as in a simulation.
-    """
+    """An impossible sensor value is left out; it did not act as 0 as in a simulation."""
     path = tmp_path / "live"
     small_bag(path / "bag", pump_command=[0.1] * 100 + [math.nan] + [0.1] * 99)
     (path / "configuration").mkdir(parents=True)
@@ -477,53 +319,19 @@ def test_a_live_site(tmp_path: Path) -> None:
         "status": "done", "controller": "onoff", "parameters": {"fraction": 1.0},
         "forecast": "/var/forecast.csv", "drive_at": "/dev/ttyUSB0",
     }))
-    loss = {
-        "number": 300, "node": "/pump", "part": "drive", "role": "pump", "code": "drive_lost",
-        "level": "error", "sentence": "no connection to the drive",
-        "since": "2026-11-21T02:25:12.500+00:00", "ended": None,
-    }
-    again = {**loss, "number": 301}
-    lines = [json.dumps(loss), json.dumps({**loss, "ended": "2026-11-21T02:25:20.300+00:00"}),
-             json.dumps(again), ""]
-    (path / "alarms.jsonl").write_text("\n".join(lines))
     assert set(loaded(path)[0].command.tolist()) == {0.1}
-    (run,) = report_of(path).runs
-    assert (run.row["case"], run.row["site"]) == ("onoff", "site.yaml")
-    assert [list(alarm) for alarm in run.alarms] == [
-        ["/pump: drive", "2026-11-20 21:25:12-05:00", "2026-11-20 21:25:20-05:00", "error",
-         "no connection to the drive", ""],
-        ["/pump: drive", "2026-11-20 21:25:12-05:00", "not over", "error",
-         "no connection to the drive", ""],
-    ]
-    assert "2026-11-20 21:25:20-05:00" in page_of(path)
-    (path / "alarms.jsonl").write_text(f"{{}}\n{json.dumps(loss)}\n")
-    assert "alarms next to the bag is damaged and was not used" in page_of(path)
+    run = read_run(path)
+    # In the site's zone, as its configuration has no start.
+    assert (run.row["site"], run.row["start"]) == ("site.yaml", START.isoformat())
 
 
-# --- damaged bags --------------------------------------------------------------------------------
-
-
-def test_what_recover_makes_of_a_damaged_bag_is_reported(tmp_path: Path, recorded: Path) -> None:
-    """The report advises to recover it once, then reads the new bag, until the old one grows.
-
-    Then the old one is read again if it is closed. A new bag that is damaged, too, is not repaired.
-    """
+def test_what_recover_makes_of_a_damaged_bag(tmp_path: Path, recorded: Path) -> None:
+    """The report advises to recover it; the new bag has the site and the summary of the run."""
     run = shutil.copytree(recorded, tmp_path / "run")
     file = run / "bag" / "bag_0.mcap"
     os.truncate(file, file.stat().st_size // 2)
     (run / "bag" / "metadata.yaml").write_bytes(b"\xff{[")
     refusal(report_of, run, match=f"run/bag: cannot be read as a bag.*greenroof recover {run}")
-    assert recover(run)[2]
-    trajectory, _ = loaded(run)
-    assert 16 <= len(trajectory.time) < 361
-    assert "bag-recovered contains the data that greenroof" in page_of(report_of(run))
-    later = time.time() + 60
-    os.utime(file, (later, later))
-    advice = f"remove {run}/bag-recovered, and greenroof recover {run} recovers a"
-    refusal(report_of, run, match=f"run/bag: cannot be read as a bag.*{advice}")
-    (run / "bag" / "metadata.yaml").unlink()
-    assert f"more data have been recorded since: {advice}" in page_of(report_of(run))
-    os.utime(file, (1.0, 1.0))
-    (run / "bag-recovered" / "bag-recovered_0.mcap").write_bytes(b"")
-    reason = refusal(report_of, run, match="bag-recovered: cannot be read as a bag")
-    assert "greenroof recover" not in str(reason)
+    recover(run)
+    assert 16 <= len(loaded(run / "bag-recovered")[0].time) < 361
+    assert read_run(run / "bag-recovered").row["site"] == "site.yaml"
