@@ -84,8 +84,8 @@ def main() -> int:
     arguments = make_parser().parse_args()
     with require_extra("study"):
         from greenroof_ros.analysis.report.cases import Report
-        from greenroof_ros.analysis.report.page import make_table
-        from greenroof_ros.analysis.report.sources import find_runs
+        from greenroof_ros.analysis.report.page import make_notes, make_table
+        from greenroof_ros.analysis.report.runs import find_runs
     weather: Path | None = arguments.weather
     refuse((
         weather is not None and not weather.is_dir(), "--weather", str(weather),
@@ -129,7 +129,10 @@ def main() -> int:
     finally:
         store.write_table()
     if store.results:
-        table = make_table(Report(find_runs([store.directory])))
-        PlainConsole().print_table(table.caption, table.headings(), table.texts(), table.marked)
+        console, done = PlainConsole(), Report(find_runs([store.directory]))
+        table = make_table(done, done.show)
+        console.print_table(table.caption, table.headings(), table.texts(), table.marked)
+        for note in make_notes(done):
+            console.print(f"NOTE: {note}")
     print(escape(f"written to {store.directory / 'results.csv'}"))
     return EXIT_FAILED if store.failures else EXIT_DONE

@@ -39,7 +39,7 @@ def render(report: Report, figures: Sequence[Figure]) -> str:
     failed = Table("Runs that failed or did not finish", ("run", "reason"), report.sources.failed)
     sections = [
         Section(failed.caption, [failed] * bool(failed.rows)),
-        Section("Results", [make_table(report), *figures]),
+        Section("Results", [make_table(report, _columns(report)), *figures]),
         Section("All results", [make_full_table(report)]),
         Section("What it rests on", [make_notes(report), _list_assumptions(report)]),
         Section("What was read", [report.sources.read], folded=True),
@@ -97,9 +97,9 @@ def _columns(report: Report) -> list[str]:
     return [name for name in dict.fromkeys(names) if name in report.metrics]
 
 
-def make_table(report: Report) -> Table:
-    """Return the main table: the shown metrics of all cases, and the minimum possible values."""
-    names, rows, marked = _columns(report), list[list[Any]](), set[int]()
+def make_table(report: Report, names: Sequence[str]) -> Table:
+    """Return the main table: some metrics of all cases, and the minimum possible values."""
+    rows, marked = list[list[Any]](), set[int]()
     several = len(report.places) > 1
     for place in report.places:
         ranks = place.select(map(rank, report.show)).fill_null(math.inf).to_numpy()

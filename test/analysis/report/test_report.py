@@ -12,7 +12,13 @@ from places import CONFIG
 from refusals import refusal
 
 import greenroof_ros as gr
-from greenroof_ros.analysis.report.page import answer, make_full_table, make_notes, make_table
+from greenroof_ros.analysis.report.page import (
+    _columns,
+    answer,
+    make_full_table,
+    make_notes,
+    make_table,
+)
 from greenroof_ros.analysis.report.runs import TOTAL
 
 ONOFF = {year: 100.0 + 10 * (year - 2015) for year in range(2015, 2026)}
@@ -38,7 +44,7 @@ def test_means_by_hand(tmp_path: Path) -> None:
     report = study_of(
         tmp_path / "study", *onoff, *rows("other", 1, ONOFF), *rows("other", 2, lower)
     )
-    table = make_table(report)
+    table = make_table(report, _columns(report))
     assert table.headings() == ["case", "total deviation (m³)", "runs"]
     assert table.texts() == [
         ["other", "140 (80 to 200)", "22"], ["on/off", "150 (100 to 200)", "11"],
@@ -72,7 +78,7 @@ def test_a_study_shows_what_it_asks(tmp_path: Path) -> None:
     study_of(tmp_path / "study", *runs)
     shutil.copy(CONFIG / "site_valve.yaml", tmp_path / "study" / "configuration" / "site.yaml")
     report = report_of(tmp_path / "study")
-    table = make_table(report)
+    table = make_table(report, _columns(report))
     assert table.headings()[1:5] == [
         "discharge in wet weather (m³)", "discharge (m³)", "retention (%)", "mains water used (m³)",
     ]
@@ -87,7 +93,7 @@ def test_a_study_shows_what_it_asks(tmp_path: Path) -> None:
     asked = tmp_path / "study" / "configuration" / "study.json"
     asked.write_text('{"show": ["near_target_hours"]}')
     report = report_of(tmp_path / "study")
-    assert [name for name, *_ in make_table(report).texts()] == ["worse", "closed", "drain"]
+    assert [name for name, *_ in make_table(report, report.show).texts()] == ["worse", "closed", "drain"]
     asked.write_text('{"show": ["nothing"]}')
     refusal(report_of, tmp_path / "study", match="show = 'nothing'")
 
