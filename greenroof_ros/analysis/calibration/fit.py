@@ -31,7 +31,6 @@ if TYPE_CHECKING:
 UpdateProgress = Callable[[str, float], None]
 """callback that receives the current task, and the share that is done, 0 to 1"""
 
-EXPONENT = "percolation_exponent"
 EXPONENTS = (1.0, 1.5, 2.0, 3.0, 5.0)
 """exponents that are compared, in addition to that of the site"""
 ALIKE = 0.05
@@ -62,16 +61,9 @@ _WET_S, _DRY_S = 600.0, 3600.0
 _OF_A_TIP = 0.6
 
 
-class Simulated(NamedTuple):
-    """The measurements that the simulated roof would produce."""
-
-    runoff: Values
-    """runoff in every step (mm), shape (steps,)"""
-    level: Values
-    """water level in the substrate at the beginning of every step (m), shape (steps,)"""
-
-
-def simulate(site: Site, record: StepRecord, filled: float, minimum: float = 0.0) -> Simulated:
+def simulate(
+    site: Site, record: StepRecord, filled: float, minimum: float = 0.0
+) -> dict[str, Values]:
     """Simulate field-capacity soil over a record's steps.
 
     The result matches :func:`greenroof_ros.physics.tick.step` with short ticks, because percolation
@@ -84,6 +76,10 @@ def simulate(site: Site, record: StepRecord, filled: float, minimum: float = 0.0
         record: record of rain, pumped water and reference evapotranspiration.
         filled: share of the available water capacity that is filled at the beginning, 0 to 1.
         minimum: runoff in a step (mm) below which a meter shows 0.
+
+    Returns:
+        The measurements that the simulated roof would produce, each of shape (steps,): ``runoff``
+        in every step (mm), and the water ``level`` in the substrate at its beginning (m).
     """
     volume_flow = site.a2 / 1000 / record.step_s  # m3/s for one mm per step
     water = record.water
@@ -100,7 +96,7 @@ def simulate(site: Site, record: StepRecord, filled: float, minimum: float = 0.0
     )
     runoff = np.add.reduceat(flows * durations, starts) * 1000 / site.a2
     runoff = np.where(runoff < minimum, 0.0, runoff)
-    return Simulated(runoff, volumes[starts] / site.a2)
+    return {"runoff": runoff, "level": volumes[starts] / site.a2}
 
 
 def run_parts(
@@ -219,7 +215,7 @@ class Fit(NamedTuple):
     parameters: list[FittedParameter]
     filled: float
     """share of the available water capacity that was filled when the record began"""
-    simulated: Simulated
+    simulated: dict[str, Values]
     """the whole record as simulated, as its meter would show it"""
     scores: list[FitScores]
     """scores of every quantity in either half"""
@@ -276,7 +272,7 @@ def fit(
     }
     weeks = np.tile(np.unique(seconds // span_s) * span_s // _WEEK_S, len(measured))
 
-    def simulated(shares: Values, minimum: float) -> tuple[Site, Simulated]:
+    def simulated(shares: Values, minimum: float) -> tuple[Site, dict[str, Values]]:
         values = {span.name: span.value(share) for span, share in zip(ranges, shares, strict=False)}
         z_cap = site.a2 * site.z_soil * values["field_capacity"]
         fitted = replace(site, z_cap=z_cap, **values)  # type: ignore[arg-type]
@@ -284,7 +280,7 @@ def fit(
 
     def differences(shares: Values, minimum: float = minimum) -> Values:
         """Return the residuals, in standard deviations of the measurements."""
-        shown = simulated(shares, minimum)[1]._asdict()
+        shown = simulated(shares, minimum)[1]
         return np.concatenate([
             (combine(name, shown[name][halves["fit"]], seconds, span_s) - target)
             / (float(np.std(target)) or 1.0) for name, target in measured.items()
@@ -350,7 +346,7 @@ def fit(
     return Fit(
         fitted, list(map(_judge, ranges, at.tolist(), half.tolist())), float(at[-1]), shown,
         [
-            score(name, part, getattr(shown, name), record, compared)
+            score(name, part, shown[name], record, compared)
             for name in record.measured for part, compared in halves.items()
         ],
     )
@@ -481,13 +477,13 @@ def choose_exponent(fits: Sequence[Fit], own: float) -> tuple[Fit, str]:
         for places in np.stack((outside, alike[[0, -1]]), axis=1)
     )
     parameter = FittedParameter(
-        EXPONENT, chosen.site.percolation_exponent, low, high,
+        "percolation_exponent", chosen.site.percolation_exponent, low, high,
         "not a 95 % interval: the validation does not tell these exponents apart",
     )
     tried = zip(nses, exponents, strict=True)
     of_each = ", ".join(f"{nse:.2f} with {exponent:g}" for nse, exponent in tried)
     return (
         chosen._replace(parameters=[*chosen.parameters, parameter]),
-        f"{EXPONENT}: the NSE in the validation is {of_each}; exponents within {ALIKE:g} of the "
-        "best are not told apart",
+        f"percolation_exponent: the NSE in the validation is {of_each}; exponents within "
+        f"{ALIKE:g} of the best are not told apart",
     )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import altair as alt
 import numpy as np
 
-from greenroof_ros.analysis.calibration.record import DAY_S, combine, name_time
+from greenroof_ros.analysis.calibration.record import DAY_S, combine
 from greenroof_ros.analysis.calibration.result import (
     INTERVAL_NOTE,
     Calibration,
@@ -14,6 +14,7 @@ from greenroof_ros.analysis.calibration.result import (
 from greenroof_ros.analysis.figures import Figure, round_value, series_panel
 from greenroof_ros.analysis.page import Section, make_page
 from greenroof_ros.analysis.tables import Column, Table
+from greenroof_ros.base.times import duration
 from greenroof_ros.site.file import SITE_KEYS
 
 MEASURED, SIMULATED = "measured", "simulated"
@@ -42,25 +43,23 @@ def render(made: Calibration) -> str:
                 "parameter", Column("value", "", "{:.4g}".format), "unit", "95 % interval",
                 "what the data show", "meaning",
             ], parameters),
-            f"A parameter without an interval was not fitted: it keeps the site file's value. "
+            "A parameter without an interval was not fitted: it keeps the site file's value. "
             f"{INTERVAL_NOTE} Intervals allow residuals within a week to depend on each other, and "
-            f"do not include errors of the model itself.",
+            "do not include errors of the model itself.",
         ]),
         Section("Pictures", [draw_quantity(quantity, made) for quantity in record.measured]),
         Section("What it rests on", [
             Table("Scores", [
                 "quantity", "part",
-                *(Column(f"NSE, {name_time(time)}", "", "{:.2f}".format)
+                *(Column(f"NSE, {duration(time)}", "", "{:.2f}".format)
                   for time in made.scores[0].nse),
                 Column("volume error", "%", lambda share: f"{100 * share:+.1f}"),
             ], scores),
-            "NSE (Nash and Sutcliffe) is 1 for a perfect simulation and 0 for one that is no "
-            "better than the mean of the measurements. The volume error is the simulated minus the "
-            "measured total, as a share of the measured total.",
+            "NSE is the Nash-Sutcliffe efficiency of sums or means over these time spans. The "
+            "volume error is the simulated minus the measured total, as a share of the latter.",
         ]),
         Section("What was read", [[
-            f"{record.source}: steps of {name_time(record.step_s)}, with "
-            f"{np.nansum(record.rain):.4g} mm of rain", *made.notes,
+            f"{record.source}: steps of {duration(record.step_s)}", *made.notes,
         ]]),
         Section("How it was made", [made.site_file.splitlines()], folded=True),
     ])
@@ -73,8 +72,8 @@ def draw_quantity(quantity: str, made: Calibration) -> Figure:
     parts, begin = [*made.halves], record.seconds[np.argmax(made.halves["validation"])]
     seconds = record.seconds[compared]
     was, now = (
-        (1.0 if sums else 1000.0) * combine(quantity, series[compared], seconds, DAY_S)
-        for series in (record.measured[quantity], getattr(made.fit.simulated, quantity))
+        (1.0 if sums else 1000.0) * combine(quantity, each[compared], seconds, DAY_S)
+        for each in (record.measured[quantity], made.fit.simulated[quantity])
     )
     days = np.unique(seconds // DAY_S) * DAY_S
     rows = [
@@ -89,13 +88,13 @@ def draw_quantity(quantity: str, made: Calibration) -> Figure:
     panels = [
         series_panel(
             chart.mark_line(clip=True, strokeWidth=1.2, interpolate="step-after").encode(
-                x=time, y=alt.Y(f"{value}:Q", title=label, scale=alt.Scale(zero=zero)),
-            ), field, names, heading, [],
+                x=time, y=alt.Y(f"{value}:Q", title=f"{heading} {unit}"),
+            ), field, names, f"{heading.capitalize()} {quantity}", [],
         )
-        for chart, heading, value, field, names, label, zero in (
-            (data.transform_fold([MEASURED, SIMULATED], as_=["series", "v"]),
-             "Measured and simulated", "v", "series", [MEASURED, SIMULATED], unit, sums),
-            (data, "Residuals", "error", "part", parts, f"error, {unit}", True),
+        for chart, heading, value, field, names in (
+            (data.transform_fold([MEASURED, SIMULATED], as_=["series", "v"]), "daily", "v",
+             "series", [MEASURED, SIMULATED]),
+            (data, "error of the daily", "error", "part", parts),
         )
     ]
     caption = (

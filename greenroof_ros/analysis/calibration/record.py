@@ -111,11 +111,6 @@ class StepRecord:
         return np.asarray(np.convolve(missing, np.ones(3), "same") == 0)
 
 
-def name_time(seconds: float) -> str:
-    """Return the name of a duration: ``5 min``, ``1 h``, ``6 h``, ``1 day``."""
-    return {HOUR_S: "1 h", DAY_S: "1 day"}.get(round(seconds)) or duration(seconds)
-
-
 def combine(quantity: str, values: Values, seconds: NDArray[np.int64], span_s: int) -> Values:
     """Return sums of runoff or means of the level over the clock spans in which steps begin.
 
@@ -185,21 +180,22 @@ def select_comparable(record: StepRecord) -> Steps:
 
 
 def halve_steps(record: StepRecord, steps: Steps) -> dict[str, Steps]:
-    """Split steps on the first dry day after half of all rain and pumped water has arrived.
+    """Split the comparable steps on the first dry day after half of the water has arrived.
 
-    The halves receive equal amounts of water, because only water reveals the properties of a roof:
-    with halves of equal duration, one half could contain all the storms. A storm in both halves
-    would make the validation depend on data used in the fit. Without a dry day, all steps are in
-    the earlier half.
+    The halves receive equal amounts of rain and pumped water, because only water reveals the
+    properties of a roof: with halves of equal duration, one half could contain all the storms. A
+    storm in both halves would make the validation depend on data used in the fit. Without a dry
+    day, all steps are in the earlier half.
 
     Args:
-        record: record with rain and pumped water.
-        steps: steps to split.
+        record: the measurements.
+        steps: steps that may be used.
 
     Returns:
         The steps of each half by its purpose: ``fit`` for the earlier half, and ``validation`` for
         the later half.
     """
+    steps = steps & select_comparable(record)
     total = np.cumsum(np.where(steps, record.water, 0.0))
     day = np.ones(math.ceil(_AFTER_STORM_S / record.step_s))
     dry = np.convolve(record.water > 0, day)[:len(steps)] == 0
@@ -278,23 +274,6 @@ def score(
     return FitScores(quantity, part, nse, ours / theirs - 1 if theirs > 0 else np.nan)
 
 
-def read_record(source: Path, site: Site, months: str | None = None) -> StepRecord:
-    """Read a measured record from a bag or a CSV file.
-
-    Args:
-        source: a bag, an ``.mcap`` file, a CSV file, or a description of a CSV file.
-        site: site with its location, clock, area and pumps.
-        months: months to use, such as ``4-10``; in other months of a CSV file, evapotranspiration
-            may have long gaps.
-
-    Raises:
-        ConfigurationError: if the record breaks a rule; the message names the line, the column and
-            the value.
-    """
-    is_bag = source.is_dir() or source.suffix.lower() == ".mcap"
-    return read_bag_record(source, site) if is_bag else read_csv_record(source, site, months)
-
-
 def read_csv_record(file: Path, site: Site, months: str | None = None) -> StepRecord:
     """Read a measured record from CSV; see :func:`greenroof_ros.weather.table.read_rows`.
 
@@ -307,7 +286,15 @@ def read_csv_record(file: Path, site: Site, months: str | None = None) -> StepRe
     or is computed from ``pump state`` (share of the maximum flow) and ``cistern level``, which does
     not matter while the pumps are stopped; without these columns it is 0.
 
-    For the arguments and errors, see :func:`read_record`.
+    Args:
+        file: the record, or a description of it.
+        site: site with its location, clock, area and pumps.
+        months: months to use, such as ``4-10``; in other months, evapotranspiration may have long
+            gaps.
+
+    Raises:
+        ConfigurationError: if the file breaks a rule; the message names the line, the column and
+            the value.
     """
     (file, described), *more = expand([file])
     if more:
@@ -329,7 +316,7 @@ def read_csv_record(file: Path, site: Site, months: str | None = None) -> StepRe
     # A roof drains within hours, so longer sums show no more than the rain does.
     if step_s > DAY_S:
         raise rows.table.refuse(
-            f"the rows are {name_time(step_s)} apart; they must be no more than a day apart"
+            f"the rows are {duration(step_s)} apart; they must be no more than a day apart"
         )
     series, step_h = {}, step_s / HOUR_S
     for name, values in rows.values.items():

@@ -23,12 +23,12 @@ from greenroof_ros.analysis.calibration.record import (
     StepRecord,
     Steps,
     halve_steps,
-    name_time,
-    read_record,
-    select_comparable,
+    read_bag_record,
+    read_csv_record,
     select_months,
 )
 from greenroof_ros.base.errors import ConfigurationError
+from greenroof_ros.base.times import duration
 from greenroof_ros.site.file import format_site, read_site
 from greenroof_ros.site.site import Site
 
@@ -101,9 +101,10 @@ def calibrate(
     """
     file, source = Path(site), Path(measured)
     start = complete_roof(read_site(file))
-    record = read_record(source, start, months)
+    is_bag = source.is_dir() or source.suffix.lower() == ".mcap"
+    record = read_bag_record(source, start) if is_bag else read_csv_record(source, start, months)
     counts = select_months(record, months)
-    halves = halve_steps(record, select_comparable(record) & counts)
+    halves = halve_steps(record, counts)
     check_record(record, counts, halves)
     own = start.percolation_exponent
     fits = fit_exponents(start, record, halves, progress, sorted({*EXPONENTS, own}))
@@ -222,7 +223,7 @@ def format_fitted_site(file: Path, fit: Fit, target: float, heading: Sequence[st
 
 def describe_scores(row: FitScores) -> str:
     """Return the scores of a quantity in one half as a sentence."""
-    nse = ", ".join(f"{value:.2f} ({name_time(span_s)})" for span_s, value in row.nse.items())
+    nse = ", ".join(f"{value:.2f} ({duration(span_s)})" for span_s, value in row.nse.items())
     return (
         f"The {row.quantity} in the {row.part} period has an NSE of {nse}, and its volume is "
         f"{100 * row.volume_error:+.1f} % off."
@@ -233,14 +234,12 @@ def _list_notes(
     record: StepRecord, halves: Mapping[str, Steps], before: Site, fitted: Site
 ) -> list[str]:
     spans = [np.flatnonzero(steps) for steps in halves.values()]
-    days, compared = (
-        count * record.step_s / DAY_S for count in (len(record.rain), sum(map(len, spans)))
-    )
+    days = sum(map(len, spans)) * record.step_s / DAY_S
     fit, validation = (f"{record.time(span[0])} to {record.time(span[-1])}" for span in spans)
     notes = [
-        f"compared: {compared:.3g} of {days:.3g} days; fit {fit}, validation {validation}. The "
-        "other days have gaps, are in months that are not used, or follow a time in which a storm "
-        "may have gone unrecorded"
+        f"compared: {days:.3g} days; fit {fit}, validation {validation}. The other days have gaps, "
+        "are in months that are not used, or follow a time in which a storm may have gone "
+        "unrecorded"
     ]
     if "runoff" in record.measured:
         known = record.complete
