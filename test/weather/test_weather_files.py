@@ -12,7 +12,7 @@ import pytest
 from places import CONFIG, DATA
 from refusals import refusal
 
-from greenroof_ros.analysis.calibration.csv_record import read_csv_record
+from greenroof_ros.analysis.calibration.record import read_csv_record
 from greenroof_ros.site.file import read_site
 from greenroof_ros.weather.description import make_description
 from greenroof_ros.weather.read import read_measured

@@ -56,9 +56,8 @@ _ALONE = 0.99
 # Longest parts of steps (s): with water, within which the drainage layer's inflow hardly changes;
 # and in dry weather, within which the soil's water stress hardly changes.
 _WET_S, _DRY_S = 600.0, 3600.0
-# The readings of a counter are a tip or more apart, and its lowest is a tip. Rounding changes both:
-# the smallest difference is at least this share of the lowest reading.
-_OF_A_TIP = 0.6
+# Other programs may round readings to five digits: the largest error, as a share.
+_DIGITS = 5e-5
 
 
 def simulate(
@@ -134,11 +133,29 @@ def find_min_reading(record: StepRecord) -> float:
     is 0.
     """
     runoff = record.measured.get("runoff", np.zeros(1))
-    readings = np.unique(np.round(runoff[runoff > 0], 9))
-    if not len(readings):
-        return 0.0
-    is_counter = np.diff(readings).min(initial=np.inf) >= _OF_A_TIP * readings[0]
-    return 0.0 if is_counter else float(readings[0])
+    readings = np.unique(runoff[runoff > 0])
+    return 0.0 if _is_counted(readings) else float(readings[0])
+
+
+def _is_counted(readings: Values) -> bool:
+    """Return whether readings in ascending order are multiples of one tip, apart from rounding.
+
+    If a reading of n tips has a rounding error of up to h, the volume of a tip is between
+    (reading - h) / n and (reading + h) / n. The number n follows from the volumes of a tip that the
+    earlier readings allow, because rounding can change the minimum reading by half a tip.
+    """
+    decimals = next((
+        places for places in range(12)
+        if np.allclose(np.round(readings, places), readings, rtol=1e-9, atol=0.0)
+    ), 12)
+    low, high = 0.0, 2 * float(readings.min(initial=np.inf))
+    for reading in readings.tolist():
+        off = 10.0**-decimals / 2 + _DIGITS * reading
+        tips = max(1, round(2 * reading / (low + high)))
+        low, high = max(low, (reading - off) / tips), min(high, (reading + off) / tips)
+        if low > high:
+            return False
+    return True
 
 
 class FitRange(NamedTuple):
