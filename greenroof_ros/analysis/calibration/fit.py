@@ -434,8 +434,7 @@ def compute_intervals(
     members = [groups == group for group in np.unique(groups)]
     left = [invert(jacobian[~own]) for own in members]
     moved = [
-        inverse @ (jacobian[own].T @ residuals[own])
-        for inverse, own in zip(left, members, strict=True)
+        inv @ (jacobian[own].T @ residuals[own]) for inv, own in zip(left, members, strict=True)
     ]
     whole = 1 / np.diag(invert(jacobian))
     lost = whole - [1 / np.diag(inverse) for inverse in left]
@@ -465,9 +464,7 @@ def fit_exponents(
     fits: list[Fit] = []
     for number, exponent in enumerate(exponents):
         update_progress(f"fitting with exponent {exponent:g}", number / len(exponents))
-        of_exponent = replace(site, percolation_exponent=exponent)
-        fits.append(fit(of_exponent, record, halves, *fits[-1:]))
-    update_progress("done", 1.0)
+        fits.append(fit(replace(site, percolation_exponent=exponent), record, halves, *fits[-1:]))
     return fits
 
 

@@ -22,7 +22,6 @@ MEASURED, SIMULATED = "measured", "simulated"
 
 def render(made: Calibration) -> str:
     """Return the page of a calibration."""
-    record = made.record
     answer = " ".join([
         *(made.warnings or [
             describe_scores(row) for row in made.scores if row.part == "validation"
@@ -43,11 +42,10 @@ def render(made: Calibration) -> str:
                 "parameter", Column("value", "", "{:.4g}".format), "unit", "95 % interval",
                 "what the data show", "meaning",
             ], parameters),
-            "A parameter without an interval was not fitted: it keeps the site file's value. "
             f"{INTERVAL_NOTE} Intervals allow residuals within a week to depend on each other, and "
             "do not include errors of the model itself.",
         ]),
-        Section("Pictures", [draw_quantity(quantity, made) for quantity in record.measured]),
+        Section("Pictures", [draw_quantity(quantity, made) for quantity in made.record.measured]),
         Section("What it rests on", [
             Table("Scores", [
                 "quantity", "part",
@@ -58,9 +56,7 @@ def render(made: Calibration) -> str:
             "NSE is the Nash-Sutcliffe efficiency of sums or means over these time spans. The "
             "volume error is the simulated minus the measured total, as a share of the latter.",
         ]),
-        Section("What was read", [[
-            f"{record.source}: steps of {duration(record.step_s)}", *made.notes,
-        ]]),
+        Section("What was read", [[str(made.record.source), *made.notes]]),
         Section("How it was made", [made.site_file.splitlines()], folded=True),
     ])
 
@@ -84,11 +80,10 @@ def draw_quantity(quantity: str, made: Calibration) -> Figure:
     time = alt.X("t:T", title=None, scale=alt.Scale(type="utc"),
                  axis=alt.Axis(tickCount=8, format="%d %b %y"))
     data = alt.Chart(alt.NamedData(f"{name}-days"))
-    unit = f"{quantity} (mm{'/day' if sums else ''})"
     panels = [
         series_panel(
             chart.mark_line(clip=True, strokeWidth=1.2, interpolate="step-after").encode(
-                x=time, y=alt.Y(f"{value}:Q", title=f"{heading} {unit}"),
+                x=time, y=alt.Y(f"{value}:Q", title=f"{heading} {quantity} (mm)"),
             ), field, names, f"{heading.capitalize()} {quantity}", [],
         )
         for chart, heading, value, field, names in (
@@ -97,11 +92,5 @@ def draw_quantity(quantity: str, made: Calibration) -> Figure:
             (data, "error of the daily", "error", "part", parts),
         )
     ]
-    caption = (
-        f"Daily {'sums' if sums else 'means'}, and the residuals (simulated minus measured). "
-        "Times without measurements are left out."
-    )
-    return Figure(
-        name, quantity.capitalize() if sums else "Level on the roof", caption, tuple(panels), 2,
-        {f"{name}-days": rows},
-    )
+    caption = f"Daily {'sums' if sums else 'means'}; the error is simulated minus measured."
+    return Figure(name, quantity.capitalize(), caption, tuple(panels), 2, {f"{name}-days": rows})

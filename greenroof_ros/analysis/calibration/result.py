@@ -33,16 +33,11 @@ from greenroof_ros.site.file import format_site, read_site
 from greenroof_ros.site.site import Site
 
 INTERVAL_NOTE = (
-    "The 95 % intervals include the effect of parameters that the record does not determine and "
-    "that may have any value within their ranges. All other parameters have the values from the "
-    "original site file."
+    "The 95 % intervals include the effect of parameters that the record does not determine. These "
+    "and all that was not fitted have the values of the original site file."
 )
 """what the intervals of fitted parameters cover"""
 
-_ROOF = (
-    "field_capacity", "wilting_point", "depletion_fraction", "drainage_storage", "drainage_time",
-    "crop_coefficient",
-)
 # In m: drainage mats and gravel have 0.002 to 0.04. An ordinary storm does not fill it.
 _TYPICAL_STORAGE = 0.02
 # Share of the plants' available water that may be used up: 'a value of 0.50 for p is commonly used
@@ -208,7 +203,7 @@ def format_fitted_site(file: Path, fit: Fit, target: float, heading: Sequence[st
         target: target depth on the roof (m) in the original site file.
         heading: paragraphs of comments for the top of the file.
     """
-    reasons = dict.fromkeys(_ROOF, "unchanged, not fitted") | {
+    reasons = dict.fromkeys(("drainage_storage", "drainage_time"), "unchanged, not fitted") | {
         one.name: " ".join(filter(None, (
             f"fitted, {one.interval};" if one.interval else "unchanged:", one.reason
         ))).removesuffix(";") for one in fit.parameters
