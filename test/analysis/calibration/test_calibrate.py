@@ -16,9 +16,8 @@ from places import DATA
 from refusals import refusal
 from twins import TWIN, a_record, record_rows, write
 
-from greenroof_ros.analysis.calibration.fit import Fit, FittedParameter
 from greenroof_ros.analysis.calibration.record import FitScores
-from greenroof_ros.analysis.calibration.result import check_fit, check_record, format_fitted_site
+from greenroof_ros.analysis.calibration.result import check_fit, check_record
 from greenroof_ros.base.files import shared_directory
 from greenroof_ros.site.file import format_site, read_site
 
@@ -92,24 +91,6 @@ def test_what_was_refused_writes_nothing(fitted: Path, tmp_path: Path) -> None:
         )
         assert ended.returncode == 2 and ended.stderr.startswith(f"error: {message}")
     assert list(tmp_path.iterdir()) == []
-
-
-def test_volumes_follow_in_a_site_file_of_any_form(tmp_path: Path) -> None:
-    """On one line or more, with or without a derived volume."""
-    file, new = tmp_path / "own.yaml", tmp_path / "edited.yaml"
-    roof = replace(TWIN, z_veg=0.04, wilting_point=0.05, field_capacity=0.3)
-    parameters = [
-        FittedParameter(name, getattr(roof, name), np.nan, np.nan, "") for name in
-        ("field_capacity", "wilting_point", "depletion_fraction", "crop_coefficient")
-    ]
-    for text in (
-        "{extends: site.yaml, c_hat: 54, x2_star: 3.14416}", "extends: site.yaml\nz_cap: 34.4"
-    ):
-        file.write_text(text)
-        new.write_text(format_fitted_site(file, Fit(roof, parameters, 0.5, {}, []), 0.06, []))
-        after, before = read_site(new), read_site(file)
-        assert (after.x2_star, after.z_cap) == pytest.approx((68.8 * 0.04, 68.8 * 0.5 * 0.3))
-        assert (after.z_veg, after.wilting_point, after.c_hat) == (0.04, 0.05, before.c_hat)
 
 
 def test_too_little_for_a_fit() -> None:
