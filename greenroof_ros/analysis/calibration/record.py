@@ -306,11 +306,12 @@ def read_csv_record(file: Path, site: Site, months: str | None = None) -> StepRe
     if not (
         PRECIPITATION in there and there & {"runoff", "level"}
         and (there & {EVAPOTRANSPIRATION, TEMPERATURE} or there >= {*_EXTREMES})
+        and ("pump state" not in there or there & {"cistern level", "pumped"})
     ):
         raise rows.table.refuse(
             "must have the columns 'rain [mm]', 'runoff [mm]' or 'level [m]', and 'reference "
             "evapotranspiration [mm]', 'temperature [degC]', or both 'minimum temperature [degC]' "
-            "and 'maximum temperature [degC]'"
+            "and 'maximum temperature [degC]'; with 'pump state', also 'cistern level [m]'"
         )
     step_s, steps = rows.step_s, int(rows.steps[-1]) + 1
     # A roof drains within hours, so longer sums show no more than the rain does.
@@ -326,8 +327,7 @@ def read_csv_record(file: Path, site: Site, months: str | None = None) -> StepRe
             series[name] = np.append(np.nan, series[name][:-1])
     pumped = series.get("pumped", np.zeros(steps))
     if "pumped" not in series and "pump state" in series:
-        levels = series.get("cistern level", np.full(steps, np.nan))
-        state = series["pump state"]
+        levels, state = series["cistern level"], series["pump state"]
         highest = np.array([maximum_pump_flow(site, x1) for x1 in levels * site.a1])
         highest[np.isnan(levels)] = np.nan
         pumped = np.where(state == 0, 0.0, state * highest * step_s * 1000 / site.a2)

@@ -124,6 +124,7 @@ def test_wrong_files_are_refused(file: Path) -> None:
     for text, message in (
         (TEXT.replace(RAIN, "pumped [mm]"), r"csv, line 1: must have the columns 'rain \[mm"),
         (TEXT.replace(MAXIMUM, "pumped [mm]"), "or both 'minimum temperature"),
+        (TEXT.replace(RUNOFF, "pump state [1]"), "with 'pump state', also 'cistern level"),
         (TEXT.replace("T00:30,0.1", "T00:30,169"), r"line 8: rain \[mm\] = '169': must be"),
         (text_of(HEADER, "0,0,0,5,15", since(JUNE, 2880 * np.arange(120))), "are 48 h apart"),
         (text_of(HEADER, "0,0,0,5,15", since(JUNE, np.cumsum(np.resize([5, 5, 7], 120)))),
