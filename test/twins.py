@@ -12,8 +12,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 from paper import PAPER_SITE
 
-from greenroof_ros.analysis.calibration.csv_record import read_csv_record
-from greenroof_ros.analysis.calibration.step_record import StepRecord
+from greenroof_ros.analysis.calibration.record import StepRecord, read_csv_record
 from greenroof_ros.physics import tick
 from greenroof_ros.physics.parameters import State, plant_parameters
 from greenroof_ros.physics.pump import maximum_pump_flow
@@ -35,14 +34,14 @@ TWIN = replace(
 FILLED_AT_FIRST = 0.5
 
 
-def a_record(
-    rain: np.ndarray, step_s: float = 300.0, month: int = 5, **series: np.ndarray | None
-) -> StepRecord:
-    """Return a record from the beginning of a month; missing series are zero or None."""
+def a_record(rain: np.ndarray, step_s: float = 300.0, **series: np.ndarray) -> StepRecord:
+    """Return a record from the beginning of May; water that is not given is 0."""
     nothing = np.zeros(len(rain))
-    series_of = {"reference": nothing, "pumped": nothing, "runoff": None, "level": None} | series
-    start = datetime(2021, month, 1, tzinfo=timezone.utc)
-    return StepRecord(Path("roof.csv"), start, step_s, rain, **series_of)
+    measured = {name: series.pop(name) for name in ("runoff", "level") if name in series}
+    start = datetime(2021, 5, 1, tzinfo=timezone.utc)
+    return StepRecord(Path("roof.csv"), start, step_s, rain, **{
+        "reference": nothing, "pumped": nothing, "measured": measured, **series
+    })
 
 
 def storms(days: int, random: np.random.Generator) -> np.ndarray:

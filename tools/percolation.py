@@ -22,24 +22,25 @@ import pandas as pd
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from greenroof_ros.analysis.calibration.csv_record import read_csv_record
-from greenroof_ros.analysis.calibration.fit import FILLED, Fit, complete_roof
-from greenroof_ros.analysis.calibration.percolation import fit_exponents
-from greenroof_ros.analysis.calibration.record import (
-    average_spans,
-    halve_steps,
-    select_comparable,
-    select_months,
+from greenroof_ros.analysis.calibration.fit import (
+    Fit,
+    find_min_reading,
+    fit_exponents,
+    simulate,
 )
-from greenroof_ros.analysis.calibration.scores import score
-from greenroof_ros.analysis.calibration.simulation import find_min_reading, simulate
-from greenroof_ros.analysis.calibration.step_record import (
+from greenroof_ros.analysis.calibration.record import (
     HOUR_S,
     StepRecord,
     Steps,
     Values,
+    combine,
     find_storms,
+    halve_steps,
+    read_csv_record,
+    score,
+    select_months,
 )
+from greenroof_ros.analysis.calibration.result import complete_roof
 from greenroof_ros.base.files import default_site_file
 from greenroof_ros.site.file import read_site
 from greenroof_ros.site.site import Site
@@ -91,14 +92,13 @@ def fit_roof(files: Sequence[Path], name: str) -> list[Half]:
     """Fit a roof to each half of its record; return both halves."""
     site = complete_roof(read_site(default_site_file(), {**ROOFS[name], "utc_offset": 1.0}))
     record = read_roof(files, site)
-    comparable = select_comparable(record) & select_months(record, MONTHS)
-    halves = [*halve_steps(record, comparable).values()]
+    halves = [*halve_steps(record, select_months(record, MONTHS)).values()]
     result = []
     for fitted, judged in (halves, halves[::-1]):
         fits = fit_exponents(
             site, record, {"fit": fitted, "validation": judged}, exponents=EXPONENTS
         )
-        result.append(Half(record, judged, {each.exponent: each.fit for each in fits}))
+        result.append(Half(record, judged, dict(zip(EXPONENTS, fits, strict=True))))
     return result
 
 
@@ -116,8 +116,7 @@ def score_exponents(halves: Sequence[Half], exponent: float) -> list[str]:
     for half in halves:
         record, steps = half.record, half.steps
         scored = score(
-            "runoff", "validation", half.fits[exponent].simulated.runoff[steps],
-            record.measured["runoff"][steps], record.seconds[steps], record.step_s,
+            "runoff", "validation", half.fits[exponent].simulated["runoff"], record, steps
         )
         rows.append([*scored.nse.values(), 1 + scored.volume_error])
     return [f"{value:.2f}" for value in np.mean(rows, axis=0)]
@@ -149,11 +148,11 @@ def compare_peaks(halves: Sequence[Half]) -> Iterator[tuple[Values, Values, Valu
     series, storms = [], []
     for half in halves:
         record, fit = half.record, half.fits[2.0]
-        filled = next(each.value for each in fit.parameters if each.name == FILLED)
+        rain = np.nan_to_num(record.rain)
         _, hour = np.unique(record.seconds // HOUR_S, return_inverse=True)
-        hourly = replace(record, rain=average_spans(record.rain, record.seconds, HOUR_S)[hour])
-        shown = simulate(fit.site, hourly, filled, find_min_reading(record))
-        each = record.measured["runoff"], fit.simulated.runoff, shown.runoff
+        hourly = replace(record, rain=combine("level", rain, record.seconds, HOUR_S)[hour])
+        shown = simulate(fit.site, hourly, fit.filled, find_min_reading(record))
+        each = record.measured["runoff"], fit.simulated["runoff"], shown["runoff"]
         series.append(each)
         storms.append([storm for storm in find_storms(record) if half.steps[storm].all()])
     for steps in (1, 3, 12):

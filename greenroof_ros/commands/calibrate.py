@@ -1,47 +1,43 @@
-"""Fit a site's roof to a measured record: ``greenroof calibrate MEASURED``."""
+"""Fit a site's roof to a measured record.
 
-from __future__ import annotations
+The parameters are field capacity, wilting point, depletion fraction, drainage time and crop
+coefficient, as far as the record determines them, and the exponent of percolation, which is changed
+only if the validation tells it apart. The model is fitted to the first half of the rain and
+validated on the second half.
 
-from pathlib import Path
-
-from greenroof_ros.analysis.calibration.record import read_months
-from greenroof_ros.analysis.calibration.result import calibrate, describe_scores
-from greenroof_ros.base.command_line import Parser, add_site, command, print_lines
-from greenroof_ros.base.console import PlainConsole
-from greenroof_ros.base.errors import require_extra
-from greenroof_ros.base.files import add_path_to_errors
-from greenroof_ros.base.progress import ProgressBar
-from greenroof_ros.commands.output_file import refuse_unwritable
-
-_DESCRIPTION = """\
-Fit a site's roof parameters to a measured record: field capacity, wilting point, depletion
-fraction, drainage time and crop coefficient, as far as the record determines them, and the exponent
-of percolation, which is changed only if the validation tells it apart. The model is fitted to the
-first half of the rain and validated on the second half.
-"""
-_EPILOG = """\
 MEASURED is a bag recorded by this project, or a CSV file with rows at most a day apart. Empty cells
 and missing rows are treated as gaps. The columns are:
 
   time, rain [mm], runoff [mm], level [m], temperature [degC]
 
 The model does not include snow. If the record covers winters, specify the months to use, as in
---months 4-10.
+--months 4-10. The command writes the site file and, next to it, a page with the same name but the
+extension .html.
 
-The command writes the site file and, next to it, a page with the same name but the extension .html.
-
-examples:
+Examples:
   greenroof calibrate roof_2025.csv --site my_site.yaml -o fitted_site.yaml
   greenroof calibrate roof_2024_2025.csv --months 4-10 -o fitted_site.yaml
   greenroof simulate --site fitted_site.yaml
 
-exit codes: 0 done, 2 bad usage, configuration or record, 130 interrupted
+Exit codes: 0 done, 2 bad usage, configuration or record, 130 interrupted
 """
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from greenroof_ros.analysis.calibration.result import calibrate, describe_scores
+from greenroof_ros.base.command_line import Parser, add_site, command, print_lines
+from greenroof_ros.base.console import PlainConsole
+from greenroof_ros.base.errors import rename_keys, require_extra
+from greenroof_ros.base.files import add_path_to_errors
+from greenroof_ros.base.progress import ProgressBar
+from greenroof_ros.commands.output_file import refuse_unwritable
 
 
 def make_parser() -> Parser:
     """Return the command's parser."""
-    parser = Parser(prog="greenroof calibrate", description=_DESCRIPTION, epilog=_EPILOG)
+    parser = Parser.of("calibrate", __doc__, "MEASURED -o FILE.yaml [options]")
     parser.add_argument(
         "measured", type=Path, metavar="MEASURED",
         help="measured record: a CSV file, a bag, or an .mcap file",
@@ -63,27 +59,22 @@ def make_parser() -> Parser:
 def main() -> None:
     """Fit the record named on the command line."""
     arguments = make_parser().parse_args()
-    output: Path = arguments.output
-    page_file = output.with_suffix(".html") if output.name else output
-    refuse_unwritable(output, ".yaml", ".yml")
+    refuse_unwritable(arguments.output, ".yaml", ".yml")
+    page_file = arguments.output.with_suffix(".html")
     refuse_unwritable(page_file, ".html")
-    if arguments.months is not None:
-        read_months(arguments.months)
     with require_extra("study"):
         from greenroof_ros.analysis.calibration.page import render
-    with ProgressBar() as progress:
+    with ProgressBar() as progress, rename_keys({"months": "--months"}):
         made = calibrate(arguments.measured, arguments.site, arguments.months, progress.show)
-    print_lines("record", made.record.contents)
-    print_lines("note", made.notes)
-    print_lines("warning", made.warnings)
-    for file, content in ((page_file, render(made)), (output, made.site_file)):
+    for kind in "note", "warning":
+        print_lines(kind, getattr(made, f"{kind}s"))
+    for file, content in ((page_file, render(made)), (arguments.output, made.site_file)):
         with add_path_to_errors(file):
             file.write_text(content, encoding="utf-8")
     console = PlainConsole()
-    for row in made.scores:
-        console.print(describe_scores(row))
+    console.print("\n".join(map(describe_scores, made.scores)))
     console.print_table("Parameters", ["parameter", "value", "95 % interval", ""], [
         [each.name, f"{each.value:.4g}", each.interval or "not fitted", each.reason]
         for each in made.fit.parameters
     ])
-    console.print(f"written: {output}, {page_file}", soft_wrap=True)
+    console.print(f"written: {arguments.output}, {page_file}", soft_wrap=True)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from paper import PAPER_SITE, weather_of
 from places import CONFIG
 
-from greenroof_ros.analysis.calibration.csv_record import read_csv_record
+from greenroof_ros.analysis.calibration.record import read_csv_record
 from greenroof_ros.base.times import parse_time
 from greenroof_ros.site.file import read_site
 from greenroof_ros.site.site import Site

@@ -13,7 +13,7 @@ import yaml
 from places import CONFIG, DATA
 from refusals import refusal
 
-from greenroof_ros.analysis.calibration.csv_record import read_csv_record
+from greenroof_ros.analysis.calibration.record import read_csv_record
 from greenroof_ros.site.file import read_site
 from greenroof_ros.weather.read import read_measured
 from greenroof_ros.weather.records import Records

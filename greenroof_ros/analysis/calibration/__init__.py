@@ -1,1 +1,1 @@
-"""Calibration of field-capacity soil and pumps: records, checks, fits, site file and page."""
+"""Calibration of field-capacity soil: records, fits, site file and page."""

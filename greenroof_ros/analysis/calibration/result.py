@@ -5,101 +5,48 @@ from __future__ import annotations
 import os
 import textwrap
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from greenroof_ros.analysis.calibration.bag_record import read_bag_record
-from greenroof_ros.analysis.calibration.checks import check_fit, check_record
-from greenroof_ros.analysis.calibration.csv_record import read_csv_record
 from greenroof_ros.analysis.calibration.fit import (
-    FILLED,
+    EXPONENTS,
     Fit,
     UpdateProgress,
-    complete_roof,
-    lower_target,
-)
-from greenroof_ros.analysis.calibration.percolation import (
-    EXPONENT,
-    EXPONENTS,
     choose_exponent,
     fit_exponents,
 )
-from greenroof_ros.analysis.calibration.record import halve_steps, select_comparable, select_months
-from greenroof_ros.analysis.calibration.scores import FitScores, score
-from greenroof_ros.analysis.calibration.step_record import DAY_S, StepRecord, Steps, name_time
+from greenroof_ros.analysis.calibration.record import (
+    DAY_S,
+    FitScores,
+    StepRecord,
+    Steps,
+    halve_steps,
+    read_bag_record,
+    read_csv_record,
+    select_months,
+)
 from greenroof_ros.base.errors import ConfigurationError
+from greenroof_ros.base.times import duration
 from greenroof_ros.site.file import format_site, read_site
 from greenroof_ros.site.site import Site
 
-CROP_NOTE = (
-    "applies only if evapotranspiration is computed (fao56; hargreaves in calibrate), not if a "
-    "weather file contains it"
-)
-"""where a crop coefficient has an effect"""
 INTERVAL_NOTE = (
-    "The intervals include the effect of parameters that the record cannot identify and that may "
-    "have any value within their ranges. All other parameters have the values from the original "
-    "site file."
+    "The 95 % intervals include the effect of parameters that the record does not determine. These "
+    "and all that was not fitted have the values of the original site file."
 )
 """what the intervals of fitted parameters cover"""
 
-_ROOF = (
-    "field_capacity", "wilting_point", "depletion_fraction", "drainage_storage", "drainage_time",
-    "crop_coefficient",
-)
-
-
-Entries = dict[str, tuple[float, str]]
-"""entries for a site file: by name a value, and the words that follow its unit"""
-
-
-def list_fit_entries(fit: Fit, target: float) -> Entries:
-    """Return the entries of a fit, each with its interval, or the reason why it is not identified.
-
-    Args:
-        fit: result of the fit.
-        target: target depth on the roof (m) in the original site file.
-    """
-    entries: Entries = {name: (getattr(fit.site, name), "unchanged, not fitted") for name in _ROOF}
-    for parameter in fit.parameters:
-        reason = f"unchanged: {parameter.reason}"
-        if parameter.interval:
-            interval = f"fitted, {parameter.interval}"
-            if parameter.name != EXPONENT:
-                interval += " (95 %)"
-            reason = f"{interval}; {parameter.reason}" if parameter.reason else interval
-        if parameter.name == "crop_coefficient":
-            reason += f"; {CROP_NOTE}"
-        if parameter.name != FILLED:
-            entries[parameter.name] = parameter.value, reason
-    if fit.site.z_veg != target:
-        entries["z_veg"] = fit.site.z_veg, "choose your own"
-    return entries
-
-
-def format_fitted_site(file: Path, entries: Entries, heading: Sequence[str]) -> str:
-    """Return the text of a complete site file with fitted values.
-
-    Args:
-        file: path of the original site file.
-        entries: entries of the fit.
-        heading: comment lines for the top of the file.
-
-    Raises:
-        ConfigurationError: if the result is not a valid site, because a value is out of range.
-    """
-    fitted = {name: float(f"{value:.6g}") for name, (value, _) in entries.items()}
-    try:
-        site = read_site(file, fitted)
-    except ConfigurationError as error:
-        raise ConfigurationError(
-            f"the fitted values do not form a valid site, so no file was written: {error.wrong}",
-            file=file,
-        ) from error
-    text = format_site(site, {name: reason for name, (_, reason) in entries.items()})
-    return "\n".join([*(f"# {line}" for line in heading), "", text])
+# In m: drainage mats and gravel have 0.002 to 0.04. An ordinary storm does not fill it.
+_TYPICAL_STORAGE = 0.02
+# Share of the plants' available water that may be used up: 'a value of 0.50 for p is commonly used
+# for many crops' (FAO-56, chapter 8).
+_DEPLETION = 0.5
+# The minimum for a fit (mm).
+_MIN_WATER = 20.0
+# If the volume is wrong by more than this share, the fit is poor.
+_VOLUME_OFF = 0.5
 
 
 @dataclass(frozen=True)
@@ -109,7 +56,7 @@ class Calibration:
     Attributes:
         site: the fitted site.
         site_file: text of its site file.
-        record: the measurements in the months that were used.
+        record: the measurements.
         halves: steps of the record that were fitted (``fit``) and validated (``validation``).
         fit: the parameters, and the record as simulated.
         scores: scores of every quantity in either half.
@@ -140,7 +87,7 @@ def calibrate(
         progress: callback that receives the current task, and the share that is done.
 
     Raises:
-        ConfigurationError: if the record or the site is invalid, or if no roof fits the record.
+        ConfigurationError: if the record or the site is invalid.
 
     Example:
         >>> import greenroof_ros as gr
@@ -152,83 +99,154 @@ def calibrate(
     is_bag = source.is_dir() or source.suffix.lower() == ".mcap"
     record = read_bag_record(source, start) if is_bag else read_csv_record(source, start, months)
     counts = select_months(record, months)
-    counted = record.select(counts)
-    check_record(counted)
-    halves = halve_steps(record, select_comparable(record) & counts)
-    _refuse_dry(record, halves)
+    halves = halve_steps(record, counts)
+    check_record(record, counts, halves)
     own = start.percolation_exponent
     fits = fit_exponents(start, record, halves, progress, sorted({*EXPONENTS, own}))
     fitted, of_exponents = choose_exponent(fits, own)
     fitted = fitted._replace(site=lower_target(fitted.site))
-    scores = [
-        score(
-            name, part, getattr(fitted.simulated, name)[steps], series[steps],
-            record.seconds[steps], record.step_s,
-        )
-        for name, series in record.measured.items() for part, steps in halves.items()
-    ]
-    warnings = check_fit(scores, source)
+    warnings = check_fit(fitted.scores)
     notes = [*record.notes, *_list_notes(record, halves, start, fitted.site), of_exponents]
-    entries = list_fit_entries(fitted, start.z_veg)
     heading = [
-        f"Fitted to {source.name} by greenroof calibrate.", describe_halves(record, halves),
-        *map(describe_scores, scores), INTERVAL_NOTE, *notes, *warnings,
+        f"Fitted to {source.name} by greenroof calibrate.",
+        *map(describe_scores, fitted.scores), INTERVAL_NOTE, *notes, *warnings,
     ]
-    text = format_fitted_site(
-        file, entries, [line for each in heading for line in textwrap.wrap(each, 98)]
+    text = format_fitted_site(file, fitted, start.z_veg, heading)
+    return Calibration(
+        fitted.site, text, record, halves, fitted, fitted.scores, warnings, notes
     )
-    return Calibration(fitted.site, text, counted, halves, fitted, scores, warnings, notes)
 
 
-def describe_halves(record: StepRecord, halves: Mapping[str, Steps]) -> str:
-    """Return the time spans of the fit and of the validation as a sentence."""
-    spans = [
-        " to ".join(record.time(int(step))[:16] for step in np.flatnonzero(steps)[[0, -1]])
-        for steps in halves.values()
+def complete_roof(site: Site) -> Site:
+    """Return a site with field-capacity soil, using typical values for missing parameters."""
+    if site.field_capacity is None:
+        site = replace(
+            site, field_capacity=0.35, wilting_point=0.02, depletion_fraction=0.5,
+            z_cap=site.a2 * site.z_soil * 0.35,
+        )
+    if site.drainage_storage is None:
+        site = replace(site, drainage_storage=_TYPICAL_STORAGE, drainage_time=600.0)
+    return site
+
+
+def lower_target(site: Site) -> Site:
+    """Return the site, with a lower target if its roof cannot hold the current target.
+
+    Water above field capacity drains, so the pumps would never reach a target above it. Because a
+    record says nothing about the target, the target is set half-way between wilting point and field
+    capacity, and the site's owner is asked to choose another target.
+
+    Args:
+        site: site with field-capacity soil.
+    """
+    if site.x2_star < site.z_cap:
+        return site
+    volume = site.wilting_volume + (1 - _DEPLETION) * site.available_volume
+    depth = float(f"{volume / site.a2:.6g}")  # with as many digits as the site file
+    return replace(site, z_veg=depth, x2_star=site.a2 * depth)
+
+
+def check_record(record: StepRecord, counts: Steps, halves: Mapping[str, Steps]) -> None:
+    """Reject a record with too little water, or with nothing to fit or to validate.
+
+    Args:
+        record: the measurements.
+        counts: mask of the steps in the months that are used.
+        halves: the steps of the fit, and those of the validation.
+
+    Raises:
+        ConfigurationError: if the record has too little water, or if no measured quantity changes
+            in a half.
+    """
+    water = float(record.water[counts].sum())
+    if water < _MIN_WATER:
+        raise ConfigurationError(
+            f"is {water:.3g} mm in total, including pumped water, but a fit needs at least "
+            f"{_MIN_WATER:g} mm. Is the unit of the column right?", file=record.source, key="rain",
+        )
+    for steps in halves.values():
+        if all(len(np.unique(each[steps])) < 2 for each in record.measured.values()):
+            raise ConfigurationError(
+                "in a half of its rain, no measured quantity changes, but fit and validation both "
+                "need changes in runoff or levels; leave out the dry rows at the end, or use a "
+                "longer record with fewer gaps", file=record.source,
+            )
+
+
+def check_fit(scores: Sequence[FitScores]) -> list[str]:
+    """Return warnings about a fit.
+
+    There is a warning if, in the validation, the NSE of the longest time spans is below 0, or if
+    the volume is off by more than half.
+
+    Args:
+        scores: scores of every series, for the fit and for the validation.
+    """
+    poor = [
+        describe_scores(row) for row in scores if row.part == "validation"
+        and ([*row.nse.values()][-1] < 0 or abs(row.volume_error) > _VOLUME_OFF)
     ]
-    return f"Fit: {spans[0]}; validation: {spans[1]}."
+    return [
+        f"do not use this fit: {' '.join(poor)} Check the units, the clocks, the sensors, and the "
+        "site's a2 and z_soil."
+    ] if poor else []
+
+
+def format_fitted_site(file: Path, fit: Fit, target: float, heading: Sequence[str]) -> str:
+    """Return the text of a complete site file with fitted values.
+
+    Every value has its interval, or the reason why it is not identified, as a comment.
+
+    Args:
+        file: path of the original site file.
+        fit: result of the fit.
+        target: target depth on the roof (m) in the original site file.
+        heading: paragraphs of comments for the top of the file.
+    """
+    reasons = dict.fromkeys(("drainage_storage", "drainage_time"), "unchanged, not fitted") | {
+        one.name: " ".join(filter(None, (
+            f"fitted, {one.interval};" if one.interval else "unchanged:", one.reason
+        ))).removesuffix(";") for one in fit.parameters
+    }
+    reasons["crop_coefficient"] += "; applies only if evapotranspiration is computed"
+    if fit.site.z_veg != target:
+        reasons["z_veg"] = "choose your own"
+    site = read_site(file, {name: float(f"{getattr(fit.site, name):.6g}") for name in reasons})
+    lines = (f"# {line}" for each in heading for line in textwrap.wrap(each, 98))
+    return "\n".join([*lines, "", format_site(site, reasons)])
 
 
 def describe_scores(row: FitScores) -> str:
     """Return the scores of a quantity in one half as a sentence."""
-    nse = ", ".join(f"{value:.2f} ({name_time(span_s)})" for span_s, value in row.nse.items())
-    span_s, kge = list(row.kge.items())[-1]
-    volume = f"; volume {100 * row.volume_error:+.1f} %" if row.quantity == "runoff" else ""
-    return f"{row.quantity}, {row.part}: NSE {nse}; KGE {kge:.2f} ({name_time(span_s)}){volume}."
+    nse = ", ".join(f"{value:.2f} ({duration(span_s)})" for span_s, value in row.nse.items())
+    return (
+        f"The {row.quantity} in the {row.part} period has an NSE of {nse}, and its volume is "
+        f"{100 * row.volume_error:+.1f} % off."
+    )
 
 
 def _list_notes(
     record: StepRecord, halves: Mapping[str, Steps], before: Site, fitted: Site
 ) -> list[str]:
-    days = record.step_s / DAY_S
-    compared = sum(int(np.count_nonzero(steps)) for steps in halves.values()) * days
+    spans = [np.flatnonzero(steps) for steps in halves.values()]
+    days = sum(map(len, spans)) * record.step_s / DAY_S
+    fit, validation = (f"{record.time(span[0])} to {record.time(span[-1])}" for span in spans)
     notes = [
-        f"compared: {compared:.3g} of {record.steps * days:.3g} days; the other days have "
-        "gaps, are in months that are not used, or follow a time in which a storm may have gone "
+        f"compared: {days:.3g} days; fit {fit}, validation {validation}. The other days have gaps, "
+        "are in months that are not used, or follow a time in which a storm may have gone "
         "unrecorded"
     ]
-    if record.runoff is not None:
+    if "runoff" in record.measured:
         known = record.complete
-        came, gone = float(record.water[known].sum()), float(record.runoff[known].sum())
+        came, gone = record.water[known].sum(), record.measured["runoff"][known].sum()
         notes.append(
             f"balance: of {came:.4g} mm of rain and pumped water, {gone:.4g} mm ran off "
             f"({gone / came:.0%}); if that cannot be, check the units, the clocks and the sensors"
         )
     if fitted.z_veg != before.z_veg:
         notes.append(
-            f"target: z_veg was {before.z_veg:g} m, and the fitted roof holds "
-            f"{fitted.roof_level(fitted.z_cap):.3g} m; z_veg is set to {fitted.z_veg:g} m, where "
-            "half of the plant-available water is left (FAO-56, chapter 8); choose your own target"
+            f"target: the fitted roof cannot hold z_veg = {before.z_veg:g} m; z_veg is set to "
+            f"{fitted.z_veg:g} m, where half of the plant-available water is left (FAO-56, chapter "
+            "8); choose your own target"
         )
     return notes
-
-
-def _refuse_dry(record: StepRecord, halves: Mapping[str, Steps]) -> None:
-    """Reject a record that contains nothing to fit, or nothing to validate the fit against."""
-    for half, steps in zip(("first", "second"), halves.values(), strict=True):
-        if not steps.any() or all(np.ptp(each[steps]) == 0 for each in record.measured.values()):
-            raise ConfigurationError(
-                f"in the {half} half of its rain, no measured quantity changes, but fit and "
-                "validation both need changes in runoff or levels; leave out the dry rows at the "
-                "end, or use a longer record with fewer gaps", file=record.source,
-            )

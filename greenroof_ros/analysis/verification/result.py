@@ -4,26 +4,33 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from greenroof_ros.analysis.verification.pairs import Class, Sum, read_issued_forecasts, tally_pairs
-from greenroof_ros.analysis.verification.scores import SHOWN, ForecastScores
+import numpy as np
+
+from greenroof_ros.analysis.verification.scores import Array, score_pairs
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.files import default_site_file
 from greenroof_ros.base.times import to_people
+from greenroof_ros.forecast.issue import IssuedForecast, read_archive
 from greenroof_ros.results.forked_polars import make_frame
 from greenroof_ros.site.file import read_site
 from greenroof_ros.weather.read import find_files, read_weather
+from greenroof_ros.weather.records import HOUR
+from greenroof_ros.weather.series import Weather
 from greenroof_ros.weather.summary import as_lines, summarize
 
 if TYPE_CHECKING:
     import polars
 
 # Default sums: hours, and the mm from which such a sum counts as an event.
-_SUMS = ((1, 1.0), (6, 2.0), (12, 3.0), (24, 5.0))
+_EVENTS = {1: 1.0, 6: 2.0, 12: 3.0, 24: 5.0}
+# Decimals to which sums are rounded (mm). In binary numbers, tenths of a millimetre do not add up
+# to whole millimetres, which are the thresholds of events.
+_DIGITS = 6
 # The lowest r of the services five days ahead is 0.32 (sums over 12 h; the package's table of
 # skill). With this many unrelated pairs, r reaches the limit in hardly one case in a thousand.
 _MIN_R, _MIN_PAIRS = 0.1, 1000
@@ -35,47 +42,38 @@ class Verification:
 
     Attributes:
         title: what was compared, in words.
-        scores: scores of every class of leads and sums.
+        rows: a row for each class of leads and sums: ``lead_from_h``, ``lead_to_h``, ``sum_hours``,
+            ``event_mm`` and the scores; None for a score that is undefined.
         notes: sentences about the data.
         warnings: what is most likely wrong with the data.
     """
 
     title: str
-    scores: Mapping[Class, ForecastScores]
+    rows: Sequence[dict[str, Any]]
     notes: Sequence[str]
     warnings: Sequence[str]
 
-    def rows(self) -> list[dict[str, Any]]:
-        """Return the scores as rows; None for a score that is undefined."""
-        return [
-            {
-                "lead_from_h": key.low, "lead_to_h": key.high, "sum_hours": key.sum.hours,
-                "event_mm": key.sum.event,
-                **{
-                    "crps_mm" if name == "crps" else name:
-                        None if math.isnan(value := getattr(score, name)) else value
-                    for name in SHOWN
-                },
-            }
-            for key, score in self.scores.items()
-        ]
-
     @property
     def table(self) -> polars.DataFrame:
-        """The scores, with one row for each class of leads and sums; see :meth:`rows`.
+        """The rows as a data frame.
 
         Raises:
             ConfigurationError: if polars is not installed.
         """
-        return make_frame(self.rows())
+        return make_frame(self.rows)
 
 
 def verify(
     forecasts: str | os.PathLike[str], weather: Sequence[str], site: str | os.PathLike[str] = "",
     *, lead: int = 24, sums: Sequence[int] | None = None, events: Sequence[float] | None = None,
-    horizon: int = 120, progress: Callable[[str, float], None] = lambda text, share: None,
+    horizon: int = 120,
 ) -> Verification:
     """Score rain forecasts against records, like ``greenroof verify``.
+
+    A pair consists of a sum over consecutive hours of a forecast, and the sum over the same hours
+    of the records. A forecast is divided from its start: for sums of 12 h, into its first 12 hours,
+    the next 12 hours, and so on. Every sum belongs to the class of leads into which it falls. A sum
+    is left out if one of its hours is missing from the forecast or the records.
 
     Args:
         forecasts: archive of forecasts: a file, or a directory of files.
@@ -86,7 +84,6 @@ def verify(
             divide ``lead``.
         events: amounts from which each of the sums counts as an event (mm).
         horizon: maximum lead time (h).
-        progress: callback that receives the current task, and the share that is done.
 
     Raises:
         ConfigurationError: if an input is invalid, or if forecasts and records have no complete sum
@@ -96,51 +93,91 @@ def verify(
         >>> import greenroof_ros as gr
         >>> gr.verify("gem_previous_runs.csv", ["gauge.csv"]).table  # doctest: +SKIP
     """
-    lengths = _read_sums(lead, sums, events)
+    if sums is None and events is None:
+        sums = [hours for hours in _EVENTS if lead % hours == 0]
+        events = [_EVENTS[hours] for hours in sums]
+    if sums is None or events is None or len(sums) != len(events):
+        raise ConfigurationError("must be used together, with as many values", key="sums, events")
     place = read_site(Path(site) if site else default_site_file())
     records = read_weather(find_files(weather, "weather"), place, method="")
-    issued = read_issued_forecasts(Path(forecasts), records, place, horizon)
-    if lead % issued.finest_lead:
+    issues = read_archive(Path(forecasts), place, daily=True)
+    for hours in sums:
+        if lead % hours:
+            raise ConfigurationError(f"must divide lead ({lead} h)", key="sums", value=hours)
+    if lead % issues[0].finest_lead:
         raise ConfigurationError(
-            f"must be a multiple of {issued.finest_lead} h, the finest lead time of "
-            f"{issued.name}", key="lead", value=lead,
+            f"must be a multiple of {issues[0].finest_lead} h, the finest lead time of "
+            f"{forecasts}", key="lead", value=lead,
         )
-    count = len(issued.issues)
-    tallies = tally_pairs(
-        issued, records.precipitation, lead, lengths,
-        lambda done: progress(f"verifying: {done} of {count} forecasts", done / count),
-    )
-    scores = {key: tally.scores() for key, tally in tallies.items()}
-    if not any(score.n for score in scores.values()):
+    rain, fallen, span = pair_hours(issues, records, horizon, lead)
+    rows = []
+    for begin in range(0, rain.shape[2], lead):
+        for hours, event in zip(sums, events, strict=True):
+            predicted, fell = (
+                np.round(
+                    each[..., begin:begin + lead].reshape(len(each), -1, hours).sum(2), _DIGITS
+                ) for each in (rain, fallen)
+            )
+            rows.append({
+                "lead_from_h": begin, "lead_to_h": begin + lead, "sum_hours": hours,
+                "event_mm": event, **score_pairs(predicted, fell[0], event),
+            })
+    if not any(row["n"] for row in rows):
         raise ConfigurationError(
-            "include no complete sum in the period of the records: the forecasts cover "
-            f"{issued.span}, and the records cover {to_people(records.first)} to "
-            f"{to_people(records.end)}", file=Path(forecasts),
+            f"include no complete sum in the period of the records: the forecasts cover {span}, "
+            f"and the records cover {to_people(records.first)} to {to_people(records.end)}",
+            file=Path(forecasts),
         )
-    known = [score.r for score in scores.values() if score.n >= _MIN_PAIRS and score.r == score.r]
+    known = [row["r"] for row in rows if row["n"] >= _MIN_PAIRS and not math.isnan(row["r"])]
     warnings = [
         f"the forecasts are unrelated to the records: no correlation reaches {_MIN_R:g}. Are the "
         "forecasts and the records for the same location, and are their times correct?"
     ] if known and max(known) < _MIN_R else []
     return Verification(
-        f"{issued.name}: {count} forecasts, compared with {records.source}", scores,
+        f"{forecasts}: {rain.shape[1]} forecasts, compared with {records.source}",
+        [{name: None if value != value else value for name, value in row.items()} for row in rows],
         [*as_lines(summarize(records, place)), *filter(None, [records.rain_note]),
-         *records.left_out, *issued.notes], warnings,
+         *records.left_out, *dict.fromkeys(note for issue in issues for note in issue.notes)],
+        warnings,
     )
 
 
-def _read_sums(
-    lead: int, sums: Sequence[int] | None, events: Sequence[float] | None
-) -> list[Sum]:
-    """Return the sums to score, each with the amount that counts as an event."""
-    if sums is None and events is None:
-        return [Sum(*values) for values in _SUMS if lead % values[0] == 0]
-    if sums is None or events is None or len(sums) != len(events):
-        raise ConfigurationError("must be used together, with as many values", key="sums, events")
-    for hours in sums:
-        if lead % hours or sums.count(hours) > 1:
-            raise ConfigurationError(
-                f"must be a divisor of lead ({lead} h), and be given only once", key="sums",
-                value=hours,
-            )
-    return [Sum(*values) for values in zip(sums, events, strict=True)]
+def pair_hours(
+    issues: Sequence[IssuedForecast], records: Weather, horizon: int, lead: int
+) -> tuple[Array, Array, str]:
+    """Return the hours of forecasts, and the same hours of the records.
+
+    The forecasts are compared with the rain at the time at which it fell, even if the records count
+    it later (``rain_late``). Forecasts that end before the records begin, or begin after the
+    records end, are left out.
+
+    Args:
+        issues: the forecasts.
+        records: the records.
+        horizon: number of hours to compare in each forecast.
+        lead: number of hours of which the compared hours are a multiple.
+
+    Returns:
+        Rain of the forecasts (mm/h), shape (members, forecasts, hours), rain of the records, shape
+        (1, forecasts, hours), both NaN if missing, and the period of the forecasts in words.
+    """
+    aligned = [issue.align(records.first) for issue in issues]
+    span = " to ".join(map(to_people, (
+        min(issue.issued for issue in aligned), max(issue.end for issue in aligned)
+    )))
+    first = records.first - records.rain_late * HOUR
+    within = [
+        issue for issue in aligned
+        if first - issue.hours * HOUR < issue.issued < first + len(records.precipitation) * HOUR
+    ]
+    longest = min(horizon, max((issue.hours for issue in within), default=horizon))
+    reach = math.ceil(longest / lead) * lead
+    rain = np.full((len(issues[0].rain), len(within), reach), math.nan)
+    unknown = np.full(reach, math.nan)
+    padded = np.concatenate((unknown, records.precipitation, unknown))
+    begins = [max(0, (issue.issued - first) // HOUR + reach) for issue in within]
+    for place, issue in enumerate(within):
+        hours = min(longest, issue.hours)
+        rain[:, place, :hours] = issue.rain[:, :hours]
+    fallen = padded[np.add.outer(np.array(begins, dtype=int), np.arange(reach))]
+    return rain, fallen[None], span

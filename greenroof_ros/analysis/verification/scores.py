@@ -9,12 +9,18 @@ closed forms and other methods of computation.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+
+SCORES = {
+    "n": ("n", "d"), "bias": ("bias", ".2f"), "r": ("r", ".2f"), "pod": ("POD", ".2f"),
+    "far": ("FAR", ".2f"), "ets": ("ETS", ".2f"), "brier": ("Brier", ".3f"),
+    "crps_mm": ("CRPS mm", ".3f"),
+}
+"""heading and format of every score"""
 
 
 def compute_event_scores(
@@ -46,92 +52,39 @@ def compute_event_scores(
     )
 
 
-class ForecastScores(NamedTuple):
-    """Scores of pairs of forecast and observed sums; NaN if undefined.
+def score_pairs(forecast: Array, observed: Array, event: float) -> dict[str, float]:
+    """Return the scores of pairs of forecast and observed sums, by name; NaN if undefined.
 
-    Bias, r, POD, FAR and ETS are scores of member 0, which is the forecast given to controllers
-    that use a single member. The Brier score and CRPS are scores of all members.
+    The scores are the number of pairs (``n``), the total of the forecasts over that of the
+    observations (``bias``), Pearson's correlation (``r``), ``pod``, ``far`` and ``ets`` (see
+    :func:`compute_event_scores`), the mean squared difference between the event's probability and
+    its outcome, 1 or 0 (``brier``), and the mean of :func:`crps` (``crps_mm``). The Brier score and
+    the CRPS are scores of all members. The others are scores of member 0, which is the forecast
+    given to controllers that use a single member.
+
+    Args:
+        forecast: forecast sums (mm), shape (members, pairs); a pair with NaN is left out.
+        observed: observed sums (mm), shape (pairs,); a pair with NaN is left out.
+        event: minimum sum of an event (mm).
     """
-
-    n: int
-    """number of pairs"""
-    bias: float
-    """total of the forecasts over the total of the observations"""
-    r: float
-    """Pearson's correlation"""
-    pod: float
-    far: float
-    ets: float
-    brier: float
-    """mean squared difference between the event's probability and its outcome, 1 or 0"""
-    crps: float
-    """mean fair continuous ranked probability score (mm); the mean absolute error of one member"""
-
-    def shown(self, name: str) -> str:
-        """Return a score as it is displayed; a dash if it is undefined."""
-        value = getattr(self, name)
-        return "-" if math.isnan(value) else format(value, SHOWN[name][1])
-
-
-SHOWN = {
-    "n": ("n", "d"), "bias": ("bias", ".2f"), "r": ("r", ".2f"), "pod": ("POD", ".2f"),
-    "far": ("FAR", ".2f"), "ets": ("ETS", ".2f"), "brier": ("Brier", ".3f"),
-    "crps": ("CRPS mm", ".3f"),
-}
-"""heading and format of every score"""
-
-
-class Tally:
-    """Sums that suffice for all scores, so that memory does not grow with the number of pairs.
-
-    Attributes:
-        table: counts of hits, false alarms, misses and correct negatives, shape (4,).
-    """
-
-    def __init__(self, event: float) -> None:
-        """Start without pairs; an event is a sum of at least ``event`` (mm)."""
-        self._event = event
-        self._moments = np.zeros(5)
-        self._errors = np.zeros(2)
-        self.table = np.zeros(4, dtype=np.int64)
-
-    def add(self, forecast: Array, observed: Array) -> None:
-        """Add pairs of sums.
-
-        Args:
-            forecast: forecast sums (mm), shape (members, pairs); a pair with NaN is left out.
-            observed: observed sums (mm), shape (pairs,); a pair with NaN is left out.
-        """
-        known = ~(np.isnan(observed) | np.isnan(forecast).any(axis=0))
-        forecast, observed = forecast[:, known], observed[known]
-        single = forecast[0]
-        self._moments += [
-            np.sum(term)
-            for term in (single, observed, single**2, observed**2, single * observed)
-        ]
-        event, warned = observed >= self._event, single >= self._event
-        self.table += [
-            np.count_nonzero(cases)
-            for cases in (event & warned, ~event & warned, event & ~warned, ~event & ~warned)
-        ]
-        probability = np.mean(forecast >= self._event, axis=0)
-        self._errors += [np.sum((probability - event) ** 2), np.sum(crps(forecast, observed))]
-
-    def scores(self) -> ForecastScores:
-        """Return the scores of all pairs added so far."""
-        n = int(self.table.sum())
-        if not n:
-            return ForecastScores(0, *[math.nan] * 7)
-        forecast, observed, forecast_2, observed_2, product = self._moments / n
-        variances = (forecast_2 - forecast**2) * (observed_2 - observed**2)
-        # The variance of a constant series is only rounding error.
-        varies = variances > 1e-12 * (forecast_2 * observed_2)
-        r = (product - forecast * observed) / math.sqrt(variances) if varies else math.nan
-        brier, error = (self._errors / n).tolist()
-        return ForecastScores(
-            n, _ratio(forecast, observed), float(r), *compute_event_scores(*self.table.tolist()),
-            brier, error,
-        )
+    known = ~(np.isnan(observed) | np.isnan(forecast).any(axis=0))
+    forecast, observed = forecast[:, known], observed[known]
+    if not observed.size:
+        return dict.fromkeys(SCORES, math.nan) | {"n": 0}
+    single = forecast[0]
+    varies = np.ptp(single) > 0 and np.ptp(observed) > 0
+    fell, warned = observed >= event, single >= event
+    pod, far, ets = compute_event_scores(*(
+        int(np.count_nonzero(cases))
+        for cases in (fell & warned, ~fell & warned, fell & ~warned, ~fell & ~warned)
+    ))
+    probability = np.mean(forecast >= event, axis=0)
+    return {
+        "n": observed.size, "bias": _ratio(single.sum(), observed.sum()),
+        "r": float(np.corrcoef(single, observed)[0, 1]) if varies else math.nan,
+        "pod": pod, "far": far, "ets": ets, "brier": float(np.mean((probability - fell) ** 2)),
+        "crps_mm": float(np.mean(crps(forecast, observed))),
+    }
 
 
 def crps(forecast: Array, observed: Array) -> Array:

@@ -12,18 +12,17 @@ import pytest
 from refusals import refusal
 from twins import TWIN
 
-from greenroof_ros.analysis.calibration.bag_record import read_bag_record
+from greenroof_ros.analysis.calibration.record import read_bag_record
 from greenroof_ros.base.files import shared_directory
 from greenroof_ros.interface.topics import read_topics
 from greenroof_ros.results.bag_write import BagWriter
 from greenroof_ros.site.file import format_site, read_site
 
 START_NS = 1625641200 * 10**9  # 2021-07-07T07:00 UTC, by date -d
-HALF_HOUR = range(0, 1810, 10)
 
 
 def write_bag(
-    directory: Path, seconds: Iterable[int] = HALF_HOUR, drainage: float = 1e-4,
+    directory: Path, seconds: Iterable[int] = range(0, 1810, 10), drainage: float = 1e-4,
     evapotranspiration: Callable[[int], float] = lambda now: 1e-5,
 ) -> Path:
     """Write a bag in which it rains 36 mm/h, and in the first minute nothing is pumped."""
@@ -46,16 +45,20 @@ def write_bag(
 
 
 def test_sums_of_five_minutes(tmp_path: Path) -> None:
-    """On 100 m2, 1e-5 m/s are 3 mm in 300 s, 2 l/s are 6 mm, and 1e-4 m3/s is 0.3 mm."""
+    """On 100 m2, 1e-5 m/s are 3 mm in 300 s, 2 l/s are 6 mm, and 1e-4 m3/s is 0.3 mm.
+
+    Nothing states that evapotranspiration was computed, so no crop coefficient is applied.
+    """
     record = read_bag_record(write_bag(tmp_path / "bag"), TWIN)
     assert record.start.isoformat() == "2021-07-07T08:00:00+01:00"
     assert record.step_s == 300.0
     assert record.rain == pytest.approx(np.full(6, 3.0))
     assert record.pumped == pytest.approx([4.8, *[6.0] * 5])
-    assert record.runoff == pytest.approx(np.full(6, 0.3))
-    assert record.level == pytest.approx(0.02 + 300e-6 * np.arange(6))
-    # Nothing states that it was computed, so the site's crop coefficient is not applied.
+    assert record.measured["runoff"] == pytest.approx(np.full(6, 0.3))
+    assert record.measured["level"] == pytest.approx(0.02 + 300e-6 * np.arange(6))
     assert record.reference == pytest.approx(np.full(6, 0.03))
+    short = write_bag(tmp_path / "short", range(0, 300, 10))
+    refusal(read_bag_record, short, TWIN, match="must be at least five minutes long")
 
 
 @pytest.mark.parametrize(
@@ -75,39 +78,22 @@ def test_a_crop_coefficient_counts_where_evapotranspiration_was_computed(
             read_site(shared_directory() / "config" / "site.yaml", {"crop_coefficient": 0.5})
         )
     )
-    assert TWIN.crop_coefficient == 0.85
     assert read_bag_record(bag, TWIN).reference == pytest.approx(np.full(6, reference))
 
 
 def test_in_a_gap_the_roof_dries_and_nothing_else_is_known(tmp_path: Path) -> None:
-    """During the first day it dries as before the gap; later as it did a day before.
+    """It dries as on average: 0.01 mm in 5 min during 1 h, and 0.04 mm during 3 h.
 
-    Evapotranspiration is 0.01 mm in 5 min at first, and ten times that from 6 to 12 h of each day.
     Without drainage only levels are treated as measured.
     """
-    hour, gaps = 3600, ((2, 8), (27, 33))
-    times = [now for now in range(0, 36 * hour, 300)
-             if not any(low * hour < now < high * hour for low, high in gaps)]
-    mm = TWIN.a2 / 1000 / 300
+    hour, mm = 3600, TWIN.a2 / 1000 / 300
+    times = [now for now in range(0, 10 * hour + 1, 300) if not 2 * hour < now < 8 * hour]
     bag = write_bag(
-        tmp_path / "bag", times, 0.0,
-        lambda now: mm * (0.1 if 6 <= now / hour % 24 < 12 else 0.01),
+        tmp_path / "bag", times, 0.0, lambda now: mm * (0.01 if now < hour else 0.04)
     )
     record = read_bag_record(bag, TWIN)
-    assert list(record.measured) == ["level"] and "in 2 gaps, 12 h in total" in record.notes[-1]
-    for series in (record.rain, record.level, record.pumped):
-        gap = np.flatnonzero(np.isnan(series))
-        assert gap.tolist() == [*range(2 * 12, 8 * 12), *range(27 * 12, 33 * 12)]
-    reference = record.reference
-    assert reference[2 * 12 + 1:8 * 12] == pytest.approx(0.01)
-    assert reference[8 * 12 + 1:12 * 12] == pytest.approx(0.1)
-    # As a day before, when the value was held.
-    assert reference[27 * 12 + 1:32 * 12] == pytest.approx(0.01)
-    assert reference[32 * 12 + 1:33 * 12] == pytest.approx(0.1)
-
-
-def test_a_bag_that_tells_nothing_is_refused(tmp_path: Path) -> None:
-    dry = write_bag(tmp_path / "dry", evapotranspiration=lambda now: 0.0)
-    refusal(read_bag_record, dry, TWIN, match="/weather/evapotranspiration: is not in the bag")
-    short = write_bag(tmp_path / "short", range(0, 500, 10))
-    refusal(read_bag_record, short, TWIN, match="is 490 s long; it must cover at least two steps")
+    assert list(record.measured) == ["level"] and "6 h in total" in record.notes[-1]
+    for series in (record.rain, record.measured["level"], record.pumped):
+        assert np.flatnonzero(np.isnan(series)).tolist() == [*range(2 * 12, 8 * 12)]
+    assert record.reference[24:96] == pytest.approx((0.01 * 1 + 0.04 * 3) / 4)
+    assert record.reference[96:] == pytest.approx(0.04)

@@ -29,8 +29,8 @@ def test_tables_with_clocks_of_their_own(tmp_path: Path) -> None:
     site = replace(TWIN, latitude=52.5, longitude=13.4)
     record = tool.read_roof([rain, runoff, temperature], site)
     assert record.rain.tolist() == pytest.approx(np.tile([0.0, 0.1, 0.2, 0.3], 144).tolist())
-    assert np.flatnonzero(np.isnan(record.runoff)).tolist() == [7]
-    assert record.runoff[8:] == pytest.approx(np.arange(8, 576) / 100)
+    assert np.flatnonzero(np.isnan(record.measured["runoff"])).tolist() == [7]
+    assert record.measured["runoff"][8:] == pytest.approx(np.arange(8, 576) / 100)
     first, second = record.reference[:288].sum(), record.reference[288:].sum()
     assert second == pytest.approx(first, rel=0.02) and 2 < first < 5
 

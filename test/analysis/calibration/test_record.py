@@ -1,4 +1,4 @@
-"""Storms of a record, the steps that are compared, its months and its halves."""
+"""Storms of a record, the steps that are compared, its months and halves, and scores."""
 
 from __future__ import annotations
 
@@ -11,12 +11,15 @@ from refusals import refusal
 from twins import a_record
 
 from greenroof_ros.analysis.calibration.record import (
+    StepRecord,
+    efficiency,
     find_outages,
+    find_storms,
     halve_steps,
+    score,
     select_comparable,
     select_months,
 )
-from greenroof_ros.analysis.calibration.step_record import StepRecord, find_storms
 
 HOUR = 12
 DAY = 24 * HOUR
@@ -27,6 +30,15 @@ def of_rain(days: int, rain: dict[int, float]) -> StepRecord:
     depths = np.zeros(days * DAY)
     depths[list(rain)] = list(rain.values())
     return a_record(depths, runoff=np.zeros(days * DAY))
+
+
+def lost(record: StepRecord, name: str, steps: object) -> StepRecord:
+    """Return a record in which a quantity is missing in some steps."""
+    series = (record.measured["runoff"] if name == "runoff" else getattr(record, name)).copy()
+    series[steps] = np.nan
+    if name == "runoff":
+        return replace(record, measured={"runoff": series})
+    return replace(record, **{name: series})
 
 
 def test_six_dry_hours_part_two_storms_and_a_day_ends_one() -> None:
@@ -48,17 +60,39 @@ def test_a_storm_in_which_something_was_not_seen_is_left_out_whole() -> None:
     """On another day only the step and its neighbours are left out."""
     record = of_rain(6, {100: 5.0, 4 * DAY: 5.0})
     for what in ("rain", "pumped", "runoff"):
-        series = getattr(record, what).copy()
-        series[[120, 3 * DAY]] = np.nan
-        steps = select_comparable(replace(record, **{what: series}))
+        steps = select_comparable(lost(record, what, [120, 3 * DAY]))
         left_out = [*range(100, 101 + DAY), *range(3 * DAY - 1, 3 * DAY + 2)]
         assert np.flatnonzero(~steps).tolist() == left_out, what
+
+
+@pytest.mark.parametrize("name", ["rain", "pumped"])
+def test_nothing_counts_after_an_outage_until_the_roof_has_forgotten(name: str) -> None:
+    """A week at 3 mm a day is 21 mm; at 1 mm a day it takes twenty days."""
+    for daily, days in ((3.0, 7), (1.0, 20)):
+        record = replace(of_rain(40, {100: 5.0}), reference=np.full(40 * DAY, daily / DAY))
+        record = lost(record, name, slice(3 * DAY, 5 * DAY))
+        (outage,) = find_outages(record)
+        assert outage.start == 3 * DAY
+        assert outage.stop == pytest.approx((5 + days) * DAY, abs=2)
+        counted = np.flatnonzero(select_comparable(record))
+        assert not np.isin(np.arange(3 * DAY, outage.stop), counted).any()
+        assert counted.max() == 40 * DAY - 1 and 2 * DAY in counted
+
+
+def test_a_short_outage_counts_only_next_to_rain() -> None:
+    """And an outage at the end of a record ends there."""
+    short = slice(3 * DAY, 3 * DAY + 6)
+    assert find_outages(lost(of_rain(40, {100: 5.0}), "rain", short)) == []
+    for outside in (3 * DAY - 1, 3 * DAY + 6):
+        assert len(find_outages(lost(of_rain(40, {outside: 4.0}), "rain", short))) == 1
+    end = slice(19 * DAY, 20 * DAY)
+    assert find_outages(lost(of_rain(20, {100: 5.0}), "rain", end)) == [end]
 
 
 def test_halves_have_the_same_water_and_no_storm_in_common() -> None:
     """Half of the water has come on the second day of the first storm; the next dry day splits."""
     record = of_rain(8, {10: 1.0, DAY: 2.0, DAY + HOUR: 3.0, 5 * DAY: 4.0})
-    steps = np.arange(record.steps) != 7
+    steps = np.arange(8 * DAY) != 7
     earlier, later = halve_steps(record, steps).values()
     assert not np.any(earlier & later)
     assert np.array_equal(earlier | later, steps)
@@ -76,45 +110,41 @@ def test_steps_of_months() -> None:
     ):
         steps = select_months(year, text)
         assert steps.sum() == days * 24
-        assert str(year.times[steps][0]) == f"{first}T00:00:00"
-    for text in ("4", "0-3", "4-13", "april-october"):
-        refusal(select_months, year, text, match=f"^--months = '{text}': must be the first and")
-    refusal(select_months, of_rain(20, {}), "6-10", match="^roof.csv: has no row in the months 6")
+        assert year.time(int(np.argmax(steps))) == f"{first} 00:00"
+    for text in ("4", "0-3", "4-13", "april-october", "4-5-6"):
+        refusal(select_months, year, text, match=f"^months = '{text}': must be the first and")
 
 
-def lost(record: StepRecord, name: str, first: int, end: int) -> StepRecord:
-    """Return a record in which a quantity is missing in some steps."""
-    series = getattr(record, name).copy()
-    series[first:end] = np.nan
-    return replace(record, **{name: series})
+def test_nash_and_sutcliffe() -> None:
+    """The example in the documentation of the package HydroErr, with its result.
+
+    The mean of the measurements is worth 0; constant measurements give no score.
+    """
+    simulated = np.array([5, 7, 9, 2, 4.5, 6.7])
+    measured = np.array([4.7, 6, 10, 2.5, 4, 7])
+    assert efficiency(simulated, measured) == pytest.approx(0.922093023255814, rel=1e-12)
+    assert efficiency(np.full(6, measured.mean()), measured) == pytest.approx(0.0, abs=1e-12)
+    assert np.isnan(efficiency(measured, np.ones(6)))
 
 
-@pytest.mark.parametrize("name", ["rain", "pumped"])
-def test_nothing_counts_after_an_outage_until_the_roof_has_forgotten(name: str) -> None:
-    """A week at 3 mm a day is 21 mm; at 1 mm a day it takes twenty days."""
-    for daily, days in ((3.0, 7), (1.0, 20)):
-        record = replace(of_rain(40, {100: 5.0}), reference=np.full(40 * DAY, daily / DAY))
-        record = lost(record, name, 3 * DAY, 5 * DAY)
-        (outage,) = find_outages(record)
-        assert outage.start == 3 * DAY
-        assert outage.stop == pytest.approx((5 + days) * DAY, abs=2)
-        counted = np.flatnonzero(select_comparable(record))
-        assert not np.isin(np.arange(3 * DAY, outage.stop), counted).any()
-        assert counted.max() == 40 * DAY - 1 and 2 * DAY in counted
+def test_longer_sums_forgive_a_delay() -> None:
+    """A day's runoff an hour late scores below 0 by the hour, and perfectly by the day.
 
-
-def test_a_short_outage_counts_only_next_to_rain() -> None:
-    record = of_rain(40, {100: 5.0})
-    short = lost(record, "rain", 3 * DAY, 3 * DAY + 6)
-    assert find_outages(short) == []
-    for outside in (3 * DAY - 1, 3 * DAY + 6):
-        storm = lost(of_rain(40, {outside: 4.0}), "rain", 3 * DAY, 3 * DAY + 6)
-        assert len(find_outages(storm)) == 1
-
-
-def test_an_outage_at_the_end_or_of_daily_sums() -> None:
-    record = lost(of_rain(20, {100: 5.0}), "rain", 19 * DAY, 20 * DAY)
-    assert find_outages(record) == [slice(19 * DAY, 20 * DAY)]
-    days = a_record(np.array([0, 2.0, *[0.0] * 18]), step_s=86400.0)
-    days = lost(replace(days, reference=np.full(20, 4.0)), "rain", 4, 5)
-    assert find_outages(days) == [slice(4, 12)]
+    Of levels, days of 4, 1 and 2 values with 1, 3 and 2 cm have a mean of 2 cm.
+    """
+    measured = np.zeros(4 * 24)
+    measured[[10, 60]] = 5.0, 2.0
+    steps = np.full(96, True)
+    hourly = a_record(measured, 3600.0, runoff=measured)
+    scores = score("runoff", "fit", np.roll(measured, 1), hourly, steps)
+    assert scores.nse[3600] < 0
+    assert scores.nse[86400] == 1.0
+    for step_s, times in ((60, [60, 3600, 86400]), (21600, [21600, 86400])):
+        record = replace(hourly, step_s=step_s)
+        less = score("runoff", "fit", 0.9 * measured, record, steps)
+        assert list(less.nse) == times  # none shorter than a step
+        assert less.volume_error == pytest.approx(-0.1)
+    known = np.isin(np.arange(72), [0, 1, 2, 3, 29, 48, 57])
+    levels = a_record(np.zeros(72), 3600.0, level=np.array([0.01, 0.03, 0.02])[np.arange(72) // 24])
+    scores = score("level", "fit", np.full(72, 0.02), levels, known)
+    assert scores.nse[86400] == pytest.approx(0.0, abs=1e-12)

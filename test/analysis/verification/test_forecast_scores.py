@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from greenroof_ros.analysis.verification.scores import Tally, crps
+from greenroof_ros.analysis.verification.scores import crps, score_pairs
 
 # Finley's tornado forecasts of 1884 in Wilks (2011, Sect. 8.2), with 28 hits, 72 false alarms and
 # 23 misses; also www.cawcr.gov.au/projects/verification/Finley. And the rain of the WWRP working
@@ -26,58 +26,40 @@ EXAMPLES = [
 def test_events(
     table: tuple[int, int, int, int], pod: float, far: float, ets: float, digits: float
 ) -> None:
-    """From pairs, one for each case in the table."""
-    cases = [(9.0, 9.0), (9.0, 0.0), (0.0, 9.0), (0.0, 0.0)]
-    pairs = np.repeat(np.array(cases), table, axis=0)
-    tally = Tally(3.0)
-    tally.add(pairs[None, :1000, 0], pairs[:1000, 1])
-    tally.add(pairs[None, 1000:, 0], pairs[1000:, 1])
-    assert tally.table.tolist() == list(table)
-    scores = tally.scores()
-    assert scores.n == sum(table)
-    assert (scores.pod, scores.far, scores.ets) == pytest.approx((pod, far, ets), abs=digits)
+    """From pairs, one for each case in the table; an event begins at its amount."""
+    pairs = np.repeat([(3.0, 3.0), (3.0, 2.9), (2.9, 3.0), (2.9, 2.9)], table, axis=0)
+    scores = score_pairs(pairs[None, :, 0], pairs[:, 1], 3.0)
+    assert scores["n"] == sum(table)
+    found = scores["pod"], scores["far"], scores["ets"]
+    assert found == pytest.approx((pod, far, ets), abs=digits)
     # For a forecast without doubt, the share of errors.
-    assert scores.brier == pytest.approx((table[1] + table[2]) / sum(table))
+    assert scores["brier"] == pytest.approx((table[1] + table[2]) / sum(table))
 
 
-def test_an_event_begins_at_its_amount() -> None:
-    """For both the forecast and the observation."""
-    tally = Tally(3.0)
-    tally.add(np.array([[3.0, 3.0, 2.9, 2.9]]), np.array([3.0, 2.9, 3.0, 2.9]))
-    assert tally.table.tolist() == [1, 1, 1, 1]
-
-
-@pytest.mark.parametrize("members", [1, 10])
-def test_moments_and_missing(members: int) -> None:
+def test_moments_and_missing() -> None:
     """Correlation as scipy's, bias as the ratio of totals; pairs with NaN do not count."""
-    chance = np.random.default_rng(members)
-    forecast = chance.gamma(0.2, 5.0, (members, 500))
-    observed = 0.5 * forecast[0] + chance.gamma(0.2, 5.0, 500)
-    tally = Tally(5.0)
-    for low, high in ((0, 100), (100, 101), (101, 500)):
-        tally.add(forecast[:, low:high], observed[low:high])
-    holes = np.array([1.0, np.nan])
-    tally.add(np.full((members, 2), [np.nan, 1.0]), holes)
-    scores = tally.scores()
-    assert scores.n == 500
-    assert scores.r == pytest.approx(stats.pearsonr(forecast[0], observed).statistic, rel=1e-10)
-    assert scores.bias == pytest.approx(forecast[0].sum() / observed.sum())
-    if members == 1:
-        assert scores.crps == pytest.approx(np.abs(forecast[0] - observed).mean())
+    chance = np.random.default_rng(1)
+    forecast, observed = chance.gamma(0.2, 5.0, (2, 502))
+    observed += 0.5 * forecast
+    known = slice(2, None)
+    scores = score_pairs(
+        np.array([[np.nan, 1.0, *forecast[known]]]), np.array([1.0, np.nan, *observed[known]]), 5.0
+    )
+    forecast, observed = forecast[known], observed[known]
+    assert scores["n"] == 500
+    assert scores["r"] == pytest.approx(stats.pearsonr(forecast, observed).statistic, rel=1e-10)
+    assert scores["bias"] == pytest.approx(forecast.sum() / observed.sum())
+    assert scores["crps_mm"] == pytest.approx(np.abs(forecast - observed).mean())
 
 
 def test_nothing_to_be_scored() -> None:
     """No pairs, no rain, no events: exactly the undefined scores are NaN."""
-    tally = Tally(5.0)
-    assert tally.scores().n == 0 and all(map(math.isnan, tally.scores()[1:]))
-    tally.add(np.zeros((1, 7)), np.zeros(7))
-    scores = tally.scores()
-    assert (scores.n, scores.brier, scores.crps) == (7, 0.0, 0.0)
-    assert all(map(math.isnan, scores[1:6]))
+    n, *others = score_pairs(np.zeros((1, 0)), np.zeros(0), 5.0).values()
+    assert n == 0 and all(map(math.isnan, others))
+    n, *undefined, brier, error = score_pairs(np.zeros((1, 7)), np.zeros(7), 5.0).values()
+    assert (n, brier, error) == (7, 0.0, 0.0) and all(map(math.isnan, undefined))
     # A constant without an exact binary value is still a constant.
-    tally = Tally(5.0)
-    tally.add(np.full((1, 1000), 0.1), np.linspace(0, 9, 1000))
-    assert math.isnan(tally.scores().r)
+    assert math.isnan(score_pairs(np.full((1, 1000), 0.1), np.linspace(0, 9, 1000), 5.0)["r"])
 
 
 # --- CRPS --------------------------------------------------------------------------------------
@@ -107,7 +89,6 @@ def test_crps_is_the_integral_made_fair(members: list[float], observed: float) -
 
 def test_briers_score_by_hand() -> None:
     """Four members, of which three, three and none forecast the event: 1/16, 9/16 and 1."""
-    tally = Tally(1.0)
     forecast = np.array([[2.0, 2.0, 0.0], [2.0, 2.0, 0.0], [2.0, 2.0, 0.0], [0.0, 0.0, 0.0]])
-    tally.add(forecast, np.array([5.0, 0.0, 1.0]))
-    assert tally.scores().brier == pytest.approx(13 / 24)
+    scores = score_pairs(forecast, np.array([5.0, 0.0, 1.0]), 1.0)
+    assert scores["brier"] == pytest.approx(13 / 24)

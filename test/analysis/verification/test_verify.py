@@ -6,7 +6,7 @@ import csv
 import math
 import os
 import subprocess
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from datetime import datetime, timedelta
 from pathlib import Path
 
@@ -35,43 +35,16 @@ def write_gauge(file: Path, rain: Iterable[object], first: datetime = FIRST) -> 
     ]))
 
 
-def write_previous_runs(file: Path, days: dict[int, Sequence[object]]) -> None:
-    """Write forecasts by the days before; a service's hours end at their time."""
-    rows = enumerate(zip(*days.values(), strict=True), 1)
-    file.write_text("\n".join([
-        ",".join(["datetime", *(f"precipitation_previous_day{day}" for day in days)]),
-        *(f"{FIRST + hour * HOUR:%Y-%m-%d %H:%M:%S},{','.join(map(str, row))}"
-          for hour, row in rows), "",
-    ]))
-
-
 def issue_of(issued: datetime, rain: NDArray[np.float64]) -> IssuedForecast:
     """Return an issue that is known at once."""
     return IssuedForecast(issued, issued, Path(), None, {"precipitation": rain})
 
 
 def run(directory: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
-    """Run a command until it ends."""
-    return run_command(*arguments, cwd=directory, env={**os.environ, "COLUMNS": "80"})
-
-
-def succeed(directory: Path, *arguments: str) -> str:
-    """Run a command that must succeed, and return its output."""
-    done = run(directory, *arguments)
-    assert done.returncode == 0, done.stderr
-    return done.stdout
-
-
-def rows_of(file: Path) -> list[dict[str, str]]:
-    """Return the rows of a CSV file."""
-    with file.open(encoding="utf-8-sig") as stream:
-        return list(csv.DictReader(stream))
-
-
-def scores(directory: Path, *arguments: str) -> list[dict[str, str]]:
-    """Return the table that the command writes."""
-    succeed(directory, "verify", *arguments, "-o", "scores.csv")
-    return rows_of(directory / "scores.csv")
+    """Run the command until it ends."""
+    return run_command(
+        "verify", *arguments, cwd=directory, env={**os.environ, "COLUMNS": "80"}
+    )
 
 
 def blocks(series: dict[datetime, float], hours: int) -> dict[datetime, float]:
@@ -95,8 +68,8 @@ def test_previous_runs_by_their_definition(tmp_path: Path) -> None:
     rain = {start: "" if number in (30, 31, 200) else cells[0]
             for number, (start, cells) in enumerate(hours.items())}
     write_gauge(tmp_path / "own.csv", rain.values(), min(hours))
-    rows = scores(tmp_path, str(GEM), "--weather", "own.csv")
-    got = {(int(row["lead_to_h"]) // 24, int(row["sum_hours"])): row for row in rows}
+    rows = verify(GEM, [str(tmp_path / "own.csv")]).rows
+    got = {(row["lead_to_h"] // 24, row["sum_hours"]): row for row in rows}
     assert len(got) == 20
     observed = {start: float(value) for start, value in rain.items() if value}
     for day in range(1, 6):
@@ -106,7 +79,7 @@ def test_previous_runs_by_their_definition(tmp_path: Path) -> None:
             ours, theirs = blocks(forecast, length), blocks(observed, length)
             pairs = [(ours[start], theirs[start]) for start in theirs if start in ours]
             row = got[day, length]
-            assert (int(row["n"]), float(row["event_mm"])) == (len(pairs), event)
+            assert (row["n"], row["event_mm"]) == (len(pairs), event)
             predicted, fell = map(np.array, zip(*pairs, strict=True))
             for name, value in (
                 ("bias", predicted.sum() / fell.sum()),
@@ -114,7 +87,7 @@ def test_previous_runs_by_their_definition(tmp_path: Path) -> None:
                 ("pod", (predicted >= event)[fell >= event].mean()),
                 ("crps_mm", np.abs(predicted - fell).mean()),
             ):
-                assert float(row[name]) == pytest.approx(value, rel=1e-5, abs=1e-9), (day, name)
+                assert row[name] == pytest.approx(value, rel=1e-5, abs=1e-9), (day, name)
 
 
 def test_runs_by_lead(tmp_path: Path) -> None:
@@ -124,73 +97,66 @@ def test_runs_by_lead(tmp_path: Path) -> None:
         for hour, members in ((0, (0.0, 2.0)), (6, (4.0, 1.0)))
     ]))
     write_gauge(tmp_path / "own.csv", [0.0] * 6 + [1.0] * 6 + [3.0] * 6 + [0.0] * 6)
-    rows = scores(
-        tmp_path, "runs.csv", "--weather", "own.csv", "--lead", "6", "--sums", "6", "--events", "6"
-    )
-    near, far = rows
-    assert (near["lead_from_h"], near["lead_to_h"], far["lead_to_h"]) == ("0", "6", "12")
+    rows = verify(
+        tmp_path / "runs.csv", [str(tmp_path / "own.csv")], lead=6, sums=[6], events=[6.0]
+    ).rows
+    assert [(row["lead_from_h"], row["lead_to_h"]) for row in rows] == [(0, 6), (6, 12)]
     # Sums of six hours. Near: 0 and 12 against 0, 24 and 6 against 6; far: the same against 6, 18.
-    assert [float(row["bias"]) for row in rows] == [4.0, 1.0]
-    assert [[float(row[name]) for name in ("n", "pod", "far")] for row in rows] == [
-        [2, 1, 0], [2, 0.5, 0]
+    assert [[row[name] for name in ("bias", "n", "pod", "far")] for row in rows] == [
+        [4.0, 2, 1, 0], [1.0, 2, 0.5, 0]
     ]
     # Probabilities 0.5 without an event and 1 with one; 0.5 and 1 with events.
-    assert [float(row["brier"]) for row in rows] == [0.125, 0.125]
+    assert [row["brier"] for row in rows] == [0.125, 0.125]
     # Means of |x - y| less half of |x - x'|: 6 - 6 and 9 - 9, in both classes.
-    assert [float(row["crps_mm"]) for row in rows] == [0.0, 0.0]
-
-
-def rain_of_july() -> list[float]:
-    """Return the rain of July's rows; a row's time is the end of its hour."""
-    return [float(row["Precip. Amount (mm)"]) for row in rows_of(JULY)]
+    assert [row["crps_mm"] for row in rows] == [0.0, 0.0]
 
 
 def test_rain_that_is_an_hour_late(tmp_path: Path) -> None:
     """A service's rain is of the hour before its time: its right forecasts score as right."""
-    rain = rain_of_july()[1:]  # the first row's hour was before the records
+    with JULY.open(encoding="utf-8-sig") as stream:  # the first row's hour was before the records
+        rain = [float(row["Precip. Amount (mm)"]) for row in csv.DictReader(stream)][1:]
     first = datetime.fromisoformat("2021-07-01T00:00-05:00")
     (tmp_path / "right.csv").write_text(write_forecasts([
         issue_of(first + hour * HOUR, np.array([rain[hour:hour + 24]]))
         for hour in range(0, len(rain), 24)
     ]))
-    (hourly,) = scores(
-        tmp_path, "right.csv", "--weather", str(JULY), "--sums", "1", "--events", "1",
-        "--horizon", "24",
-    )
-    assert int(hourly["n"]) == len(rain)
-    got = [float(hourly[name]) for name in ("r", "bias", "pod", "far")]
+    (hourly,) = verify(
+        tmp_path / "right.csv", [str(JULY)], sums=[1], events=[1.0], horizon=24
+    ).rows
+    assert hourly["n"] == len(rain)
+    got = [hourly[name] for name in ("r", "bias", "pod", "far")]
     assert got == pytest.approx([1.0, 1.0, 1.0, 0.0])
 
 
 def test_what_is_printed(tmp_path: Path) -> None:
-    """A row for each lead and sum, within 80 columns."""
-    write_gauge(tmp_path / "gauge.csv", [0.1] * 240)
-    printed = succeed(
-        tmp_path, "verify", str(GEM), "--weather", "gauge.csv", "-o", "scores.csv"
-    )
-    assert "written: scores.csv" in printed
-    assert max(map(len, printed.splitlines())) <= 80
-    assert len((tmp_path / "scores.csv").read_text().splitlines()) == 1 + 20
-
-
-def test_issues_that_are_shorter_than_the_horizon(tmp_path: Path) -> None:
-    """A run reports when a forecast ends."""
-    write_gauge(tmp_path / "gauge.csv", [0.0] * 240)
-    write_previous_runs(tmp_path / "archive.csv", {1: [0.0] * 240, 2: [0.0] * 240})
-    predicted = succeed(
-        tmp_path, "simulate", "--weather", "gauge.csv", "--start", "2024-03-04T00:00",
-        "--hours", "1", "--controller", "lookahead", "--horizon", "49", "--forecast", "archive.csv",
-    )
-    short = "weather note a forecast ends at 2024-03-05T18:00+00:00; later values are assumed"
-    assert short in " ".join(predicted.replace("│", " ").split())
+    """A row for each lead and sum, within 80 columns; notes of what was left out."""
+    write_gauge(tmp_path / "gauge.csv", [0.1] * 72)
+    lines = write_forecasts([
+        issue_of(FIRST + day * 24 * HOUR, np.full((3, 24), 0.2)) for day in range(3)
+    ]).splitlines()
+    lines[-1] = lines[-1].rpartition(",")[0] + ","
+    (tmp_path / "archive.csv").write_text("\n".join([*lines, ""]))
+    done = run(tmp_path, "archive.csv", "--weather", "gauge.csv", "-o", "scores.csv")
+    assert done.returncode == 0, done.stderr
+    assert "written: scores.csv" in done.stdout and "0-24 h     12 h" in done.stdout
+    assert max(map(len, done.stdout.splitlines())) <= 80
+    part = "archive.csv, issue of 2024-03-03T00:00+00:00: is used only for 23 of 24 hours"
+    assert part in done.stderr
+    with (tmp_path / "scores.csv").open(encoding="utf-8-sig") as stream:
+        rows = list(csv.DictReader(stream))
+    made = verify(tmp_path / "archive.csv", [str(tmp_path / "gauge.csv")]).table.to_dicts()
+    for row, ours in zip(rows, made, strict=True):
+        assert {name: float(text or "nan") for name, text in row.items()} == pytest.approx(
+            {name: math.nan if value is None else value for name, value in ours.items()},
+            nan_ok=True,
+        )
 
 
 # --- wrong use ------------------------------------------------------------------------------------
 
 WRONG = {
-    "GEM --sums 1 --events 1 2": "sums, events: must be used together",
     "GEM --events 1 2": "sums, events: must be used together",
-    "GEM --lead 6 --sums 12 --events 3": "--sums = 12: must be a divisor of lead (6 h)",
+    "GEM --lead 6 --sums 12 --events 3": "--sums = 12: must divide lead (6 h)",
     "GEM --lead 6 --sums 6 --events 2":
         f"--lead = 6: must be a multiple of 24 h, the finest lead time of {GEM}",
     "GEM": f"{GEM}: include no complete sum in the period of the records: the",
@@ -201,31 +167,13 @@ WRONG = {
 def test_wrong_use(tmp_path: Path, arguments: str) -> None:
     """One line that reports what would be right, exit code 2, and nothing written."""
     words = arguments.replace("GEM", str(GEM)).split()
-    done = run(tmp_path, "verify", *words, "--weather", str(JULY))
+    done = run(tmp_path, *words, "--weather", str(JULY))
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr.startswith(f"error: {WRONG[arguments]}")
     assert list(tmp_path.iterdir()) == []
 
 
-def test_notes_of_what_was_left_out(tmp_path: Path) -> None:
-    """Of the archive, on standard error."""
-    write_gauge(tmp_path / "gauge.csv", [0.1] * 72)
-    issues = [
-        issue_of(FIRST + day * 24 * HOUR, np.full((3, 24), 0.2))
-        for day in range(3)
-    ]
-    lines = write_forecasts(issues).splitlines()
-    lines[-1] = lines[-1].rpartition(",")[0] + ","
-    (tmp_path / "archive.csv").write_text("\n".join([*lines, ""]))
-    done = run(tmp_path, "verify", "archive.csv", "--weather", "gauge.csv")
-    assert done.returncode == 0, done.stderr
-    notes = [line for line in done.stderr.splitlines() if line.startswith("note: ")]
-    part = "archive.csv, issue of 2024-03-03T00:00+00:00: is used only for 23 of 24 hours"
-    assert any(part in note for note in notes), (part, notes)
-
-
 def test_forecasts_of_another_place_are_a_warning(tmp_path: Path) -> None:
-    """And the function gives what the command writes."""
     rng = np.random.default_rng(7)
     fell, elsewhere = rng.gamma(0.5, 2.0, (2, 1300)) * (rng.random((2, 1300)) < 0.06)
     write_gauge(tmp_path / "gauge.csv", fell)
@@ -235,9 +183,3 @@ def test_forecasts_of_another_place_are_a_warning(tmp_path: Path) -> None:
     ]))
     made = verify(tmp_path / "other.csv", [str(tmp_path / "gauge.csv")], horizon=24)
     assert "unrelated to the records" in made.warnings[0]
-    rows = scores(tmp_path, "other.csv", "--weather", "gauge.csv", "--horizon", "24")
-    for row, ours in zip(rows, made.table.to_dicts(), strict=True):
-        assert {name: float(text or "nan") for name, text in row.items()} == pytest.approx(
-            {name: math.nan if value is None else value for name, value in ours.items()},
-            nan_ok=True,
-        )
