@@ -33,7 +33,7 @@ PAGE, TABLES = "page.html", ("results.csv", "seasons.csv", "buildings.csv")
 FILES = (*TABLES, "district.yaml", "swmm")
 """other files of the output than the page and its figures"""
 # Number of buildings with which the ends of assumptions are simulated.
-_SAMPLE = 20
+_SAMPLE = 10
 
 
 @dataclass(frozen=True, eq=False)
