@@ -76,7 +76,7 @@ def test_sums_of_single_runs(simulated: DistrictResult) -> None:
         sums: Counter[str] = Counter()
         for building in buildings:
             if building["adopts_at"] > 0.5:
-                rain = building["connected_area_m2"] * read_rain().sum() / 1000
+                rain: Any = building["connected_area_m2"] * read_rain().sum() / 1000
                 sums.update(discharge_m3=rain, wet_discharge_m3=rain)
                 continue
             results = simulate_alone(building, outlet if building["low_outlet"] else "none")
