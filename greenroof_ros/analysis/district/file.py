@@ -112,7 +112,8 @@ class District:
     outlets: tuple[str, ...] = entry(
         "types of outlet to simulate; 'none' is always included", choices=OUTLETS, default=OUTLETS
     )
-    orifice: Orifice = entry("orifice that replaces the valve", factory=Orifice)
+    orifice: Orifice = entry("orifice that replaces the valve, by default as low and as large",
+                             factory=Orifice)
     adoption: tuple[float, ...] = entry(
         "shares of the buildings that have a green roof and a cistern, each of which is simulated",
         0.0, 1.0, unit="1", default=(0.1, 0.25, 0.5, 1.0),

@@ -43,7 +43,7 @@ class DistrictResult:
     Attributes:
         district: contents of the district file.
         site: the site that all buildings have in common.
-        window: the days of a season in words, or the start of a single run.
+        window: the days of a season in words, or the length of a single run.
         all_rows: results of every flow in every draw and season; names include the units.
         buildings: a row for every building of the first draw: when it adopts, and the means of its
             results over the seasons.
@@ -250,7 +250,7 @@ def _read_runs(
             notes += [f"season {each} is left out: {why}" for each, why in gaps.items()]
         else:
             run = replace(inputs, weather=records, start=weather.start, hours=weather.hours).build()
-            window, runs = f"from {weather.start}", {f"{run.start:%Y-%m-%d}": run}
+            window, runs = f"{weather.hours:g} h", {f"{run.start:%Y-%m-%d}": run}
     except ConfigurationError as error:
         if error.file is not None or not hasattr(weather, error.key or ""):
             raise
