@@ -6,6 +6,7 @@ from datetime import datetime, timedelta
 from pathlib import Path
 
 import numpy as np
+import polars as pl
 import pytest
 from districts import edit, write_district
 
@@ -20,24 +21,18 @@ STORM = np.interp(np.arange(720.0), (60, 75, 90), (0, 80, 0))
 VALVE = np.concatenate((np.zeros(240), np.full(400, STORM.sum() / 400), np.zeros(80)))
 
 
-def read_seconds(line: str) -> float:
-    """Return the time of a line since the start (s): month, day, year, and the time of day."""
-    date, clock, _ = line.split()
-    month, day, year = date.split("/")
-    return (datetime.fromisoformat(f"{year}-{month}-{day}T{clock}") - START).total_seconds()
-
-
 def test_series_has_the_same_volume() -> None:
     """Lines between its points, as SWMM interpolates; constant flows need only their ends."""
     rng = np.random.default_rng(1)
     for volumes in (STORM, VALVE, rng.random(500), np.full(7, 3.0), np.array([2.0])):
         durations = np.full(len(volumes), 60.0)
         lines = format_series(START, durations, volumes).splitlines()
-        seconds = [read_seconds(line) for line in lines]
+        times = pl.Series([line[:19] for line in lines]).str.to_datetime("%m/%d/%Y %H:%M:%S")
+        seconds = (times - START).dt.total_seconds()
         flows = [float(line.split()[2]) for line in lines]
         assert (seconds[0], seconds[-1]) == (0, durations.sum())
         means = np.add(flows[1:], flows[:-1]) / 2
-        assert means @ np.diff(seconds) == pytest.approx(volumes.sum(), rel=1e-7)
+        assert means @ np.diff(seconds.to_numpy()) == pytest.approx(volumes.sum(), rel=1e-7)
     assert len(format_series(START, np.full(len(VALVE), 60.0), VALVE).splitlines()) == 2 + 4
 
 
