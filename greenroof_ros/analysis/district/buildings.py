@@ -25,7 +25,7 @@ from greenroof_ros.weather.table import read_table
 
 Values = NDArray[np.float64]
 
-ID, LINE, GROUP, ADOPTS_AT, LOW_OUTLET = "id", "line", "group", "adopts_at", "low_outlet"
+ID, LINE, GROUP, LOW_OUTLET = "id", "line", "group", "low_outlet"
 # A distribution is rejected if its limits leave less of it than this share.
 _MIN_SHARE = 1e-3
 
@@ -116,12 +116,12 @@ def make_sites(district: District, buildings: pl.DataFrame) -> list[Site]:
         ConfigurationError: if a building's site is invalid.
     """
     common, sites = SiteFile(district.find_files("site", district.site)[0]), []
-    own = pl.exclude(ID, LINE, GROUP, ADOPTS_AT, LOW_OUTLET, *POLICY_KEYS)
-    for place, values in enumerate(buildings.select(own).iter_rows(named=True)):
+    for building in buildings.iter_rows(named=True):
+        own = {n: v for n, v in building.items() if n in BUILDING_KEYS and n not in POLICY_KEYS}
         try:
-            sites.append(common.change({"tau": district.tau, "M": 1} | values))
+            sites.append(common.change({"tau": district.tau, "M": 1} | own))
         except ConfigurationError as error:
-            raise refuse_building(district, buildings.row(place, named=True), error) from None
+            raise refuse_building(district, building, error) from None
     return sites
 
 

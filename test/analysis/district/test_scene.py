@@ -143,9 +143,10 @@ def test_seasons_and_draws(tmp_path: Path) -> None:
     assert ends["value"].to_list() == ["0.75"] * 3 + ["0.95"] * 3
 
 
-def test_nothing_to_adopt(tmp_path: Path) -> None:
-    """With adoption 0 alone there is only the district as it is."""
-    result = simulate(tmp_path, edit("[0.25, 0.5, 1.0]", "[0]"))
-    assert result.all_rows["adoption"].to_list() == [0]
+def test_nobody_adopts(tmp_path: Path) -> None:
+    """A share of less than half a building is none: the district is as it is, and all are alike."""
+    drawn = DISTRICT[DISTRICT.index("draw:") : DISTRICT.index("weather:")]
+    result = simulate(tmp_path, edit("[0.25, 0.5, 1.0]", "[0.05]").replace(drawn, ""))
+    assert set(result.all_rows["buildings"]) == {0}
     assert "No green roofs" in result.sentence
     result.save(tmp_path / "out")
