@@ -11,9 +11,9 @@ if TYPE_CHECKING:
 
     from greenroof_ros.analysis.calibration.result import calibrate
     from greenroof_ros.analysis.sizing.run import size
+    from greenroof_ros.analysis.district.result import district
     from greenroof_ros.analysis.study import study
     from greenroof_ros.analysis.verification.result import verify
-    from greenroof_ros.api.district import district
     from greenroof_ros.api.environment import Environment
     from greenroof_ros.api.scenarios import scenarios, score
     from greenroof_ros.api.simulate import Result, compare, read_bag, read_site, simulate
@@ -29,7 +29,7 @@ __all__ = [
 _MODULES = {
     "Environment": "api.environment", "Result": "api.simulate",
     "calibrate": "analysis.calibration.result", "compare": "api.simulate",
-    "district": "api.district", "read_bag": "api.simulate", "read_site": "api.simulate",
+    "district": "analysis.district.result", "read_bag": "api.simulate", "read_site": "api.simulate",
     "scenarios": "api.scenarios", "score": "api.scenarios", "simulate": "api.simulate",
     "size": "analysis.sizing.run", "study": "analysis.study",
     "verify": "analysis.verification.result",

@@ -62,7 +62,7 @@ def task(steps):
 """
 TASKS = {  # with amounts of little and of much work
     "season of a house: on/off, valve, 240,000 ticks of a minute": (SEASON, 400, 4400),
-    "100 houses: three outlets, 60,000 ticks of a minute": (DISTRICT, 24, 1024),
+    "40 houses: three outlets, 60,000 ticks of a minute": (DISTRICT, 24, 1024),
     "100 environments: 1.35 million ticks of a second": (ROOFS, 1, 16),
 }
 

@@ -1,64 +1,39 @@
-"""The run of a district, and its results: every draw of the buildings in every season."""
+"""The run of a district: every draw of the buildings in every season; and its results."""
 
 from __future__ import annotations
 
-import io
-import itertools
 import os
 import shutil
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from datetime import timedelta
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
-import numpy as np
 import polars as pl
 
-from greenroof_ros.analysis.assumptions import Assumption, list_ends
-from greenroof_ros.analysis.district import swmm
-from greenroof_ros.analysis.district.buildings import Buildings, make_buildings, make_sites
-from greenroof_ros.analysis.district.file import District, check_outlets, read_district
-from greenroof_ros.analysis.district.scene import (
-    AS_IS,
-    PERCENTILES,
-    Scene,
-    find_best,
-    list_flows,
-)
-from greenroof_ros.analysis.page import claim_output, write_output
+from greenroof_ros.analysis.assumptions import list_ends
+from greenroof_ros.analysis.district import file as keys
+from greenroof_ros.analysis.district import page as shown
+from greenroof_ros.analysis.district import swmm as routing
+from greenroof_ros.analysis.district.buildings import list_buildings, make_buildings, make_sites
+from greenroof_ros.analysis.district.scene import Flow, Scene, list_flows
+from greenroof_ros.analysis.page import Section, claim_output, make_page, write_output
 from greenroof_ros.analysis.seasons import find_seasons, list_notes, read_window
 from greenroof_ros.base.errors import ConfigurationError
-from greenroof_ros.base.files import replace_file
 from greenroof_ros.base.text import number_of
 from greenroof_ros.controllers.registry import find_controller
-from greenroof_ros.simulation.inputs import RunInputs, make_inputs
+from greenroof_ros.forecast.choice import PERFECT, ForecastChoice
+from greenroof_ros.simulation.inputs import make_inputs
 from greenroof_ros.simulation.run import Run
 from greenroof_ros.site.file import read_site
 from greenroof_ros.site.site import Site
 from greenroof_ros.weather.summary import as_lines, summarize
 
 PAGE, TABLES = "page.html", ("results.csv", "seasons.csv", "buildings.csv")
-FILES = (*TABLES, "hydrographs.parquet", "district.yaml", "swmm")
+FILES = (*TABLES, "district.yaml", "swmm")
 """other files of the output than the page and its figures"""
-_KEYS = ("draw", "season", "outlet", "adoption")
-
-Seasons = dict[str, list[Run]]
-"""run of the site in each cell, by the name of the season"""
-
-
 # Number of buildings with which the ends of assumptions are simulated.
-_SAMPLE = 20
-
-
-class Tested(NamedTuple):
-    """The best flow of some buildings of the first draw at one end of an assumption."""
-
-    assumption: Assumption | None
-    """the assumption; None as used"""
-    value: float
-    rows: pl.DataFrame
-    """results, a row for each season"""
+_SAMPLE = 10
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,251 +43,242 @@ class DistrictResult:
     Attributes:
         district: contents of the district file.
         site: the site that all buildings have in common.
-        window: the days of a season in words, or the start of a single run.
+        window: the days of a season in words, or the length of a single run.
         all_rows: results of every flow in every draw and season; names include the units.
-        storm: the scene of the first draw with the highest flow over an hour.
-        storm_run: run of the site in the season of the storm.
         buildings: a row for every building of the first draw: when it adopts, and the means of its
             results over the seasons.
-        tested: the best flow as used, and at both ends of each assumption.
+        assumptions: results of the best flow of some buildings in every season, as used and at both
+            ends of each assumption.
         notes: what was read, and what was missing in it.
     """
 
-    district: District
+    district: keys.District
     site: Site
     window: str
     all_rows: pl.DataFrame
-    storm: Scene
-    storm_run: Run
     buildings: pl.DataFrame
-    tested: Sequence[Tested]
+    assumptions: pl.DataFrame
     notes: Sequence[str]
 
     @property
     def table(self) -> pl.DataFrame:
         """Means of the results, a row for each flow, with their 5th and 95th percentiles."""
-        names = [name for name in self.all_rows.columns if name not in _KEYS]
-        table = self.all_rows.group_by("outlet", "adoption", maintain_order=True).agg(
-            each for name in names for each in (
-                pl.col(name).mean(), *(
-                    pl.col(name).quantile(end / 100, "linear").alias(f"{name}_p{end}")
-                    for end in PERCENTILES
-                ),
-            )
+        values = pl.exclude("draw", "season", "outlet", "adoption")
+        return self.all_rows.group_by("outlet", "adoption", maintain_order=True).agg(
+            values.mean(), values.quantile(0.05, "linear").name.suffix("_p5"),
+            values.quantile(0.95, "linear").name.suffix("_p95"),
         )
-        if "sewer_overflow_m3" in names and (whole := table["sewer_overflow_m3"][0]):
-            table = table.with_columns(
-                sewer_overflow_reduction=1 - pl.col("sewer_overflow_m3") / whole
-            )
-        return table
+
+    @property
+    def best(self) -> dict[str, Any]:
+        """The row of :attr:`table` with the least discharge in wet weather."""
+        return self.table.sort("wet_discharge_m3", maintain_order=True).row(0, named=True)
 
     @property
     def sentence(self) -> str:
-        """The main result, and for what its numbers stand."""
-        from greenroof_ros.analysis.district.page import summarise  # the page draws results
-
-        return summarise(self)
+        """The effect of the best outlet and of half as many, and for what the numbers stand."""
+        table, best = self.table, self.best
+        if not best["adoption"]:
+            return "No green roofs and cisterns of this district reduce the water in the sewer."
+        text = (
+            f"With green roofs and cisterns on {best['buildings']:,.0f} of "
+            f"{len(self.buildings):,} buildings ({shown.label(best)}), "
+            f"{shown.say(best, shown.LESS)} less water reaches the sewer in wet weather; over all "
+            f"weather, they retain {shown.say(best, 'retention_share')} of the rain."
+        )
+        fewer = pl.col("adoption").is_between(0, best["adoption"] / 2, closed="right")
+        for row in table.filter(fewer, outlet=best["outlet"])[-1:].iter_rows(named=True):
+            less = shown.say(row, shown.LESS)
+            text += f" On {row['buildings']:,.0f} buildings, {less} less."
+        first = table.row(0, named=True)
+        for how in [each for each in ("routed", "unrouted") if shown.OVERFLOW[each] in first][:1]:
+            after, before = (shown.say(row, shown.OVERFLOW[how]) for row in (best, first))
+            text += f" The sewer overflows with {after} a season instead of {before} ({how})."
+        seasons, draws = self.all_rows["season"].unique(maintain_order=True), self.district.draws
+        when = f"{self.window}, {' to '.join(dict.fromkeys((seasons[0], seasons[-1])))}"
+        return (
+            f"{text} Numbers are means of {number_of(len(seasons), 'season')} ({when}) with "
+            f"{number_of(draws, 'draw')} of the buildings each; in brackets, the 5th to the 95th "
+            "percentile of these."
+        )
 
     @property
     def warnings(self) -> list[str]:
         """A warning if the flow from all valves exceeds the sewer's capacity in dry weather."""
-        capacity, table = self.district.sewer_capacity, self.table
-        if capacity is None or not (table["dry_sewer_overflow_m3"] > 0).any():
-            return []
-        worst = table.row(table["dry_peak_5min_mm_h"].arg_max(), named=True)
+        name, table = "dry_sewer_overflow_m3", self.table
+        worst = table.sort(name)[-1:] if name in table.columns else table[:0]
         return [
-            "the cisterns empty at the same time: in dry weather they release up to "
-            f"{worst['dry_peak_5min_mm_h']:.3g} mm/h ({worst['outlet']}, "
-            f"{number_of(round(worst['buildings']), 'building')}), which exceeds the sewer's "
-            f"capacity of {capacity:g} mm/h; choose a smaller low_outlet_radius"
+            f"in dry weather, {shown.say(row, name)} a season flow beyond the sewer's capacity "
+            f"({shown.label(row)}, {row['buildings']:,.0f} buildings), because the cisterns empty "
+            "at the same time; choose a smaller low_outlet_radius"
+            for row in worst.iter_rows(named=True) if row[name]
         ]
 
-    @property
-    def hydrographs(self) -> pl.DataFrame:
-        """Flows (m3/s) in the season of the storm, with the start of every interval."""
-        scene, start = self.storm, self.storm_run.start
-        seconds = np.cumsum(scene.durations) - scene.durations
-        cells = [*(self.district.weather.cells or [""])]
-        return pl.DataFrame({
-            f"time_utc{start.isoformat()[-6:]}": [
-                start.replace(tzinfo=None) + timedelta(seconds=each) for each in seconds.tolist()
-            ],
-            **{
-                f"rain_{cell}_mm_h" if cell else "rain_mm_h": 3.6e6 * rain / scene.durations
-                for cell, rain in zip(cells, scene.rain, strict=True)
-            },
-            "wet": scene.wet,
-            **{
-                f"{flow.name}_m3_s": scene.group_discharges(flow).sum(axis=0) / scene.durations
-                for flow in scene.flows
-            },
-        })
-
     def save(self, directory: str | os.PathLike[str]) -> Path:
-        """Write page, figures, tables and hydrographs to a directory, and return the page's path.
+        """Write page, figures and tables to a directory, and return the page's path.
 
         Raises:
             ConfigurationError: if the directory contains anything but an earlier output.
             OSError: if writing fails, for instance because the disk is full.
         """
-        from greenroof_ros.analysis.district.page import draw_figures, make
-
-        directory, figures = Path(directory), draw_figures(self)
+        directory, district, table = Path(directory), self.district, self.table
+        count = number_of(len(self.buildings), "building")
+        area = float(self.buildings["connected_area_m2"].sum()) / 1e4
+        figures = [shown.draw_adoption(table)]
         claim_output(directory, PAGE, FILES)
-        shutil.copyfile(self.district.path, directory / "district.yaml")
-        flows = io.BytesIO()  # to a file, polars would not raise an OSError
-        self.hydrographs.write_parquet(flows)
-        replace_file(
-            directory / "hydrographs.parquet", lambda stream: stream.write(flows.getbuffer())
-        )
-        frames = self.table, self.all_rows, self.buildings
-        return write_output(directory, PAGE, make(self, figures), figures, {
-            name: frame.write_csv() for name, frame in zip(TABLES, frames, strict=True)
-        })
+        shutil.copyfile(district.path, directory / "district.yaml")
+        html = make_page(f"Green roofs in a district of {count}", self.sentence, [
+            Section("The results", [
+                f"{count} have a connected area of {area:.3g} ha. They are compared with the same "
+                "buildings as they are, from whose roofs all rain runs off at once. Wet weather is "
+                f"the time of rain and the {self.site.wet_after:g} h after it. What valves release "
+                "in dry weather reaches the same sewer: it counts in the discharge and in the "
+                "retention.",
+                *(shown.tabulate(table, columns, caption) for columns, caption in (
+                    (shown.VOLUMES, "Volumes in a season"),
+                    (shown.ROUTED, "Routed by SWMM, first draw of the buildings"),
+                    (shown.PEAKS, "Highest flows of the sum of all buildings, unrouted"),
+                ) if {*columns} & {*table.columns}),
+                *([self.warnings] if self.warnings else []),
+            ]),
+            Section("Pictures", figures),
+            Section("What it rests on", [
+                *([] if self.assumptions.is_empty() else [shown.tabulate_assumptions(
+                    self.assumptions, shown.label(self.best)
+                )]), [
+                    "Unrouted flows add up in the minute in which they leave their buildings. In "
+                    "pipes they spread out and arrive one after another: real peaks are lower.",
+                    "Streets, yards, other buildings and storage in the sewer are left out.",
+                    "If rain was measured hourly, peaks over less than an hour are those of the "
+                    "hour.",
+                    f"The valve's plan receives the forecast '{district.forecast}'.",
+                ],
+            ]),
+            Section("What was read", [self.notes]),
+            Section("How it was made", [
+                f"greenroof district {district.path.name}, seeds {district.seed} to "
+                f"{district.seed + district.draws - 1}, ticks of {district.tau:g} s. results.csv "
+                "has the means and percentiles, seasons.csv the results of every draw and season, "
+                "buildings.csv those of every building of the first draw.",
+            ]),
+        ])
+        texts = (frame.write_csv() for frame in (table, self.all_rows, self.buildings))
+        return write_output(directory, PAGE, html, figures, dict(zip(TABLES, texts, strict=True)))
 
 
-def simulate_district(
-    path: Path, search: Sequence[Path] = (), threads: int = 1, with_swmm: Path | None = None,
+def district(
+    file: str | os.PathLike[str], *, weather: str | os.PathLike[str] | None = None, jobs: int = 1,
+    swmm: str | os.PathLike[str] | None = None,
     progress: Callable[[str, float], None] = lambda text, share: None,
 ) -> DistrictResult:
-    """Read a district file and all files that it names, and simulate the district.
+    """Simulate the discharge of many buildings into one sewer, like ``greenroof district``.
 
     Args:
-        path: path of the district file.
-        search: additional directories to search for weather files.
-        threads: number of threads that share the buildings.
-        with_swmm: directory for the networks that SWMM routes; None without routing.
+        file: path of the district file.
+        weather: directory to search for weather files that are not next to the district file.
+        jobs: number of threads, which share the buildings.
+        swmm: directory for networks that EPA SWMM routes; None without routing.
         progress: function that receives the current task and the completed share of the work; an
             error that it raises ends the work.
 
+    Returns:
+        The results: ``.sentence``, ``.table`` (means with 5th and 95th percentiles), ``.all_rows``
+        (every draw and season), ``.buildings`` and ``.save(directory)``, which writes the page.
+
     Raises:
-        ConfigurationError: if a file is invalid.
-    """
-    district = read_district(path)
-    site = read_site(district.find_files("site", district.site)[0], district.ticks)
-    check_outlets(district, site)
-    notes, cells = list[str](), [*(district.weather.cells or ())]
-    window, seasons = _read_seasons(district, site, search, notes)
-    flows, scenes = list_flows(district), len(seasons) * district.draws
-    rows, kept = list[dict[str, Any]](), list[tuple[Scene, Run]]()
-    first: tuple[Buildings, list[Site]] | None = None
-    for draw in range(district.draws):
-        buildings = make_buildings(district, site, cells, draw, notes)
-        sites = make_sites(district, buildings)
-        first = first or (buildings, sites)
-        for number, (season, runs) in enumerate(seasons.items(), draw * len(seasons)):
-            text = f"season {season}, draw {draw + 1} of {district.draws}"
-            def report(share: float, done: int = number, text: str = text) -> None:
-                progress(text, (done + share) / scenes)
+        ConfigurationError: if a file is invalid; the message names the file and states what
+            would be right.
 
-            scene = Scene(
-                district, buildings, sites,
-                [replace(run, forecast_choice=district.choose_forecast(draw)) for run in runs],
-                flows, threads, report,
-            )
-            own = scene.rows()
+    Example:
+        >>> import greenroof_ros as gr
+        >>> result = gr.district("my_district.yaml", jobs=2)  # doctest: +SKIP
+        >>> result.table["outlet", "adoption", "wet_discharge_m3"]  # doctest: +SKIP
+    """
+    given, notes = keys.read_district(Path(file), weather), list[str]()
+    site = read_site(given.find_files("site", given.site)[0], {"tau": given.tau, "M": 1})
+    if site.low_outlet_level is None and {*given.outlets} != {keys.NONE}:
+        raise given.refuse("site", "needs a low outlet, as in site_valve.yaml, or outlets: [none]")
+    window, runs = _read_runs(given, site, notes)
+    listed, flows = list_buildings(given, notes), list_flows(given)
+    drawn = [make_buildings(given, site, listed, draw) for draw in range(given.draws)]
+    rows, made = list[dict[str, Any]](), list[pl.DataFrame]()
+    for draw, buildings in enumerate(drawn):
+        sites = make_sites(given, buildings)
+        for season, run in runs.items():
+            text, done = f"season {season}, draw {draw + 1} of {given.draws}", len(rows)
+            def report(share: float, text: str = text, done: int = done) -> None:
+                progress(text, (done / len(flows) + share) / len(runs) / given.draws)
+
+            choice = replace(run.forecast_choice, seed=given.seed + draw)
+            scene = Scene(given, buildings, sites, replace(run, forecast_choice=choice), flows,
+                          jobs, report)
+            own = [scene.add(flow) for flow in flows]
             if draw == 0:
-                kept.append((scene, runs[0]))
-            if draw == 0 and with_swmm is not None:
-                progress(f"SWMM, season {season}", number / scenes)
-                swmm.route_scene(with_swmm / season.replace("/", "-"), scene, runs[0].start, own,
-                                 district.sewer_capacity)
+                made.append(scene.list_buildings())
+                if swmm is not None:
+                    routing.route_scene(Path(swmm) / season.replace("/", "-"), scene, own)
             rows += [{"draw": draw + 1, "season": season} | row for row in own]
-    assert first is not None
-    all_rows = pl.DataFrame(rows, infer_schema_length=None).fill_nan(None)
-    best, (buildings, sites) = find_best(all_rows), first
-    places = np.flatnonzero(buildings.groups < len(district.shares))[:_SAMPLE].tolist()
-    tested = []
-    for end in [None, *list_ends(site)] if best.adoption and places else []:
-        name = "" if end is None else end.assumption.name
-        if name in buildings.values:
-            continue
-        progress(f"assuming {name}", 1.0)
-        change: dict[str, Any] = {} if end is None else {name: end.value}
-        ended = seasons
-        if end is not None and name == "k_Rs":  # evapotranspiration depends on it
-            ended = _read_seasons(district, end.site, search, [])[1]
-        tested.append(Tested(
-            end and end.assumption, end.value if end else 0.0, pl.DataFrame([
-                Scene(
-                    district, buildings.take(places),
-                    [replace(sites[place], **change) for place in places],
-                    [replace(run, site=replace(run.site, **change),
-                             forecast_choice=district.choose_forecast(0)) for run in runs],
-                    [AS_IS, best], threads,
-                ).rows()[1] for runs in ended.values()
-            ])
-        ))
-    storm = max(kept, key=lambda each: each[0].rows()[0]["peak_60min_l_s"])
-    return DistrictResult(
-        district, site, window, all_rows, *storm,
-        _tabulate_buildings(district, buildings, [scene for scene, _ in kept]), tested,
-        list(dict.fromkeys(notes)),
+    means = pl.concat(made).group_by("id").mean()
+    result = DistrictResult(
+        given, site, window, pl.DataFrame(rows, infer_schema_length=None).fill_nan(None),
+        drawn[0].drop("line", "group").join(means, on="id", maintain_order="left").fill_nan(None),
+        pl.DataFrame(), list(dict.fromkeys(notes)),
     )
+    tested = pl.DataFrame([*_test(result, drawn[0], runs, jobs)])
+    return replace(result, assumptions=tested)
 
 
-def _read_seasons(
-    district: District, site: Site, places: Sequence[Path], notes: list[str]
-) -> tuple[str, Seasons]:
-    """Return the simulated days in words, and the run of the site in each season and cell.
+def _read_runs(
+    given: keys.District, site: Site, notes: list[str]
+) -> tuple[str, dict[str, Run]]:
+    """Return the simulated days in words, and the run of the site in each season.
 
-    Seasons that are incomplete in any cell are left out and noted.
+    Seasons that are incomplete are left out and noted.
     """
-    given, runs = district.weather, list[Mapping[str, Run]]()
-    files = {"weather.file": given.file or ""} if given.cells is None else {
-        f"weather.cells.{name}": file for name, file in given.cells.items()
-    }
-    window, start = f"from {given.start}", given.start
-    for key, name in files.items():
-        values = {each: getattr(given, each) for each in ("evapotranspiration", "gaps")}
-        try:
-            inputs: RunInputs = make_inputs(find_controller("onoff"), {
-                "site": site, "weather": district.find_files(key, name, places), **values,
-            })
-            weather, _ = inputs.read_records(site)
-            contents, *others = as_lines(summarize(weather, site))
-            notes += [f"{weather.source}: {contents}", *others]
-            if start is None:
-                days = read_window(given.season, site)
-                window = f"{days}"
-                made, incomplete = find_seasons(inputs, site, weather, days)
-                notes += [f"season {each} is left out: {why}" for each, why in incomplete.items()]
-            else:
-                run = replace(inputs, weather=weather, start=start, hours=given.hours).build()
-                start, made = run.start.isoformat(), {f"{run.start:%Y-%m-%d}": run}
-        except ConfigurationError as error:
-            if error.file is not None or not hasattr(given, error.key or ""):
-                raise
-            raise district.refuse(f"weather.{error.key}", error.expected, error.value) from None
-        notes += [
-            *list_notes(made, site),
-            *(note for run in made.values() for note in run.forecast.notes),
-        ]
-        runs.append(made)
-    shared = [name for name in runs[0] if all(name in each for each in runs)]
-    if not shared:
-        raise district.refuse("weather.cells", "have no complete season in common")
-    return window, {name: [each[name] for each in runs] for name in shared}
+    weather = given.weather
+    try:
+        inputs = make_inputs(find_controller("onoff"), {
+            "site": site, "weather": given.find_files("weather.file", weather.file),
+            "evapotranspiration": weather.evapotranspiration, "gaps": weather.gaps,
+        })
+        records, _ = inputs.read_records(site)
+        contents, *others = as_lines(summarize(records, site))
+        notes += [f"{records.source}: {contents}", *others]
+        if weather.start is None:
+            days = read_window(weather.season, site)
+            window, (runs, gaps) = f"{days}", find_seasons(inputs, site, records, days)
+            notes += [f"season {each} is left out: {why}" for each, why in gaps.items()]
+        else:
+            run = replace(inputs, weather=records, start=weather.start, hours=weather.hours).build()
+            window, runs = f"{weather.hours:g} h", {f"{run.start:%Y-%m-%d}": run}
+    except ConfigurationError as error:
+        if error.file is not None or not hasattr(weather, error.key or ""):
+            raise
+        raise given.refuse(f"weather.{error.key}", error.expected, error.value) from None
+    notes += list_notes(runs, site)
+    notes += [note for run in runs.values() for note in run.forecast.notes]
+    choice = ForecastChoice(
+        PERFECT if given.forecast == keys.NO_FORECAST else given.forecast, seed=given.seed
+    )
+    return window, {name: replace(run, forecast_choice=choice) for name, run in runs.items()}
 
 
-def _tabulate_buildings(
-    district: District, buildings: Buildings, scenes: Sequence[Scene]
-) -> pl.DataFrame:
-    """Return a row for every building, with the means of its results over the seasons."""
-    shares, cells = [*district.shares, None], [*(district.weather.cells or ())]
-    adopts = buildings.groups < len(district.shares)
-    return pl.DataFrame({
-        "id": buildings.ids,
-        **({"cell": [cells[cell] for cell in buildings.cells]} if cells else {}),
-        **buildings.values,
-        "connected_area_m2": scenes[0].areas,
-        "adopts_at": [shares[group] for group in buildings.groups],
-        "low_outlet": [
-            bool(valve) if adopt else None
-            for valve, adopt in zip(buildings.valves, adopts, strict=True)
-        ],
-        **{
-            f"{outlet}:{name}": np.mean([scene.metrics[outlet][name] for scene in scenes], axis=0)
-            for outlet, name in itertools.product(scenes[0].metrics, scenes[0].metrics["none"])
-        },
-    }, strict=False).fill_nan(None)
+def _test(
+    result: DistrictResult, buildings: pl.DataFrame, runs: dict[str, Run], jobs: int
+) -> Iterator[dict[str, Any]]:
+    """Yield the best flow of some buildings in each season, as used and at ends of assumptions."""
+    given, site, best = result.district, result.site, result.best
+    buildings = buildings.filter(pl.col("adopts_at").is_not_null())[:_SAMPLE]
+    sites, flow = make_sites(given, buildings), Flow(best["outlet"], best["adoption"])
+    for end in (None, *list_ends(site)) if flow.adoption and sites else ():
+        words, change, own = {"assumption": "as used", "value": ""}, dict[str, Any](), runs
+        if end is not None:
+            (name, label, *_), value, changed = end
+            words = {"assumption": f"{label}; used: {getattr(site, name):g}", "value": f"{value:g}"}
+            change = {name: value}
+            if name == "k_Rs":  # evapotranspiration depends on it
+                _, own = _read_runs(given, changed, [])
+        for run in own.values() if not {*change} & {*buildings.columns} else ():
+            run = replace(run, site=replace(run.site, **change))
+            changed_sites = [replace(each, **change) for each in sites]
+            yield words | Scene(given, buildings, changed_sites, run, [flow], jobs).add(flow)

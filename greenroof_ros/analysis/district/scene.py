@@ -1,26 +1,19 @@
 """A scene: one draw of a district's buildings in one season, and the sums over the buildings.
 
-Flows are added without routing, so the peaks in a real sewer are attenuated and delayed. Weather is
-wet if it is wet in any cell, because all cells share one sewer.
+Flows are added without routing, so the peaks in a real sewer are attenuated and delayed.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+import polars as pl
 
-from greenroof_ros.analysis.district.buildings import Buildings, Values, refuse_building
-from greenroof_ros.analysis.district.file import (
-    NO_FORECAST,
-    NONE,
-    ORIFICE,
-    OUTLETS,
-    District,
-    is_of_policy,
-)
+from greenroof_ros.analysis.district import file as keys
+from greenroof_ros.analysis.district.buildings import GROUP, ID, LOW_OUTLET, Values, refuse_building
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.controllers.onoff import LEVEL
 from greenroof_ros.controllers.registry import find_controller
@@ -31,19 +24,14 @@ from greenroof_ros.simulation.season import Case, simulate_season
 from greenroof_ros.site.file import check_site
 from greenroof_ros.site.site import WITHOUT_VALVE, Site
 
-if TYPE_CHECKING:
-    import polars
-
 PEAK_MIN = (5, 15, 60)
 """times over which the flow is averaged for a peak (min)"""
 METRICS = (
-    "discharge_m3", "wet_discharge_m3", "overflow_m3", "overflow_days", "pumped_m3", "mains_m3",
-    "demand_met_share", "stress_hours", "drainage_m3", "rain_roof_m3",
+    "discharge_m3", "wet_discharge_m3", "overflow_m3", "pumped_m3", "mains_m3", "stress_hours"
 )
 """metrics that are kept for every building"""
 # More than the rounding errors of an interval's sums, and too little water to matter (m3).
 _NOTHING = 1e-6
-
 
 class Flow(NamedTuple):
     """One kind of outlet at one level of adoption."""
@@ -57,41 +45,33 @@ class Flow(NamedTuple):
         return f"{self.outlet}_{100 * self.adoption:03g}" if self.adoption else "as_is"
 
 
-PERCENTILES = (5, 95)
-"""the percentiles of the range that is stated for every result"""
-
-AS_IS = Flow(NONE, 0.0)
+AS_IS = Flow(keys.NONE, 0.0)
 """no building has a green roof or a cistern"""
 
 
-def list_flows(district: District) -> list[Flow]:
+def list_flows(district: keys.District) -> list[Flow]:
     """Return the district as it is, and every kind of outlet at every level of adoption."""
-    outlets = [name for name in OUTLETS if name in (NONE, *district.outlets)]
+    outlets = [name for name in keys.OUTLETS if name in (keys.NONE, *district.outlets)]
     return [AS_IS, *(Flow(name, share) for name in outlets for share in district.shares)]
-
-
-def find_best(rows: polars.DataFrame) -> Flow:
-    """Return the flow with the least discharge in wet weather."""
-    wet = rows["outlet", "adoption", "wet_discharge_m3"]
-    means = wet.group_by("outlet", "adoption", maintain_order=True).mean()
-    return Flow(*means.sort("wet_discharge_m3", maintain_order=True)["outlet", "adoption"].row(0))
 
 
 class Scene:
     """One draw of the buildings in one season.
 
     Attributes:
-        flows: the flows to which the results belong.
+        district: the district.
+        flows: the flows that are simulated.
+        start: time at which the scene begins, on its clock.
         areas: connected area of each building (m2).
         durations: duration of each interval (s); the last one may be shorter.
-        rain: depth of rain in each cell and interval (m), shape (cells, intervals).
-        wet: whether the weather is wet in any cell in each interval.
-        metrics: metrics of each building, by outlet and name; NaN if the building has another
-            outlet or if the metric is undefined.
+        rain: depth of rain in each interval (m).
+        wet: whether the weather is wet in each interval.
+        metrics: metrics of each building, such as ``plan:mains_m3``; NaN if the building never
+            adopts, or if the metric is undefined.
     """
 
     def __init__(
-        self, district: District, buildings: Buildings, sites: Sequence[Site], runs: Sequence[Run],
+        self, district: keys.District, buildings: pl.DataFrame, sites: Sequence[Site], run: Run,
         flows: Sequence[Flow], threads: int = 1,
         progress: Callable[[float], None] = lambda share: None,
     ) -> None:
@@ -101,7 +81,7 @@ class Scene:
             district: the district.
             buildings: its buildings.
             sites: their sites.
-            runs: run of the season in each cell.
+            run: run of the season.
             flows: flows to simulate.
             threads: number of threads that share the buildings.
             progress: callback that receives the completed share; its error ends the simulation.
@@ -109,54 +89,38 @@ class Scene:
         Raises:
             ConfigurationError: if a building's site is invalid.
         """
-        self._district, self._buildings, self.flows = district, buildings, flows
-        self.areas = np.array([connected_area(site) for site in sites])
-        site, count = runs[0].site, len(district.shares)
-        every = round(interval_seconds(site) / site.tau)
-        firsts = np.arange(0, runs[0].steps, every)
-        self.durations = site.tau * np.diff(np.append(firsts, runs[0].steps))
-        rates = np.array([run.series.precipitation[: run.steps] for run in runs])
-        self.rain = np.add.reduceat(site.tau * rates, firsts, axis=1)
-        self.wet = np.logical_or.reduceat(np.any([
-            find_wet(rate, site.tau, HOUR_S * site.wet_after, run.without_rain_s)[0]
-            for rate, run in zip(rates.tolist(), runs, strict=True)
-        ], axis=0), firsts)
-        self._volumes: dict[str, Values] = {}
-        self.metrics = dict[str, dict[str, Values]]()
-        outlets = list(dict.fromkeys([NONE, *(flow.outlet for flow in flows)]))
-        for number, outlet in enumerate(outlets):
+        self.district, self.flows, self.start = district, flows, run.start.replace(tzinfo=None)
+        self._ids, self._groups, site = buildings[ID], buildings[GROUP].to_numpy(), run.site
+        self.areas = np.array([connected_area(each) for each in sites])
+        firsts = np.arange(0, run.steps, round(interval_seconds(site) / site.tau))
+        self.durations = site.tau * np.diff(np.append(firsts, run.steps))
+        rates = np.array(run.series.precipitation[: run.steps])
+        self.rain = np.add.reduceat(site.tau * rates, firsts)
+        wet, _ = find_wet(rates.tolist(), site.tau, HOUR_S * site.wet_after, run.without_rain_s)
+        self.wet = np.logical_or.reduceat(wet, firsts)
+        self.metrics, self._volumes = dict[str, Values](), dict[str, Values]()
+        adopting = np.flatnonzero(self._groups < len(district.shares)).tolist()
+        outlets = list(dict.fromkeys(flow.outlet for flow in flows if flow.adoption))
+        for number, outlet in enumerate(outlets if adopting else ()):
             def report(share: float, done: int = number) -> None:
                 progress((done + share) / len(outlets))
 
-            adopts = buildings.groups < count
-            places = np.flatnonzero(adopts & (buildings.valves | (outlet == NONE))).tolist()
-            # With the outlet none, the groups without a valve follow those with one.
-            volumes = np.zeros((2 * count, 2, len(firsts)))
+            results, volumes = simulate_season([
+                Case(
+                    *_equip(district, outlet, buildings.row(place, named=True), sites[place]),
+                    run, *find_state(sites[place])[1:], district.forecast != keys.NO_FORECAST,
+                    int(self._groups[place]),
+                ) for place in adopting
+            ], threads=threads, progress=report)
             values = np.full((len(METRICS), len(sites)), np.nan)
-            if places:
-                results, made = simulate_season([
-                    Case(
-                        *_change(district, outlet, buildings, sites, place),
-                        runs[buildings.cells[place]], *find_state(sites[place])[1:],
-                        district.forecast != NO_FORECAST,
-                        int(buildings.groups[place] + count * (not buildings.valves[place])),
-                    ) for place in places
-                ], threads=threads, progress=report)
-                volumes[: len(made)] = made
-                for place, (result, _) in zip(places, results, strict=True):
-                    values[:, place] = [result.metrics.get(name, np.nan) for name in METRICS]
-            self._volumes[outlet] = volumes
-            self.metrics[outlet] = dict(zip(METRICS, values, strict=True))
+            for place, (result, _) in zip(adopting, results, strict=True):
+                values[:, place] = [result.metrics.get(name, np.nan) for name in METRICS]
+            self.metrics |= {f"{outlet}:{n}": v for n, v in zip(METRICS, values, strict=True)}
+            self._volumes[outlet] = volumes[:, 0]
 
-    def _adopted(self, flow: Flow) -> int:
+    def _count(self, flow: Flow) -> int:
         """Return the number of groups that have a green roof."""
-        return sum(share <= flow.adoption for share in self._district.shares)
-
-    def _add(self, flow: Flow, quantity: int) -> Values:
-        """Return the volumes of each group that adopted (m3), with and without a valve."""
-        adopted, count = self._adopted(flow), len(self._district.shares)
-        with_valve = self._volumes[flow.outlet][:adopted, quantity]
-        return np.asarray(with_valve + self._volumes[NONE][count : count + adopted, quantity])
+        return sum(share <= flow.adoption for share in self.district.shares)
 
     def group_discharges(self, flow: Flow) -> Values:
         """Return the discharge of each group (m3), shape (groups, intervals).
@@ -164,90 +128,63 @@ class Scene:
         The last group is that of the buildings that never adopt. All rain on buildings without a
         green roof runs off at once.
         """
-        groups, count = self._buildings.groups, len(self._district.shares) + 1
-        key = groups * len(self.rain) + self._buildings.cells
-        areas = np.bincount(key, self.areas, count * len(self.rain)).reshape(count, -1)
-        volumes = areas @ self.rain
-        volumes[: self._adopted(flow)] = self._add(flow, 0)
+        areas = np.bincount(self._groups, self.areas, len(self.district.shares) + 1)
+        volumes = areas[:, np.newaxis] * self.rain
+        made = self._volumes.get(flow.outlet, volumes[:0])[: self._count(flow)]
+        volumes[: len(made)] = made
         return np.asarray(volumes)
 
-    def values(self, flow: Flow, name: str) -> Values:
-        """Return a metric of the buildings with a green roof, shape (buildings,)."""
-        own, without = (self.metrics[outlet][name] for outlet in (flow.outlet, NONE))
-        adopts = self._buildings.groups < self._adopted(flow)
-        return np.asarray(np.where(self._buildings.valves, own, without)[adopts])
-
-    def rows(self) -> list[dict[str, Any]]:
-        """Return the results of each flow; the names include the units."""
-        reference = self._row(AS_IS)
-        return [self._compare(self._row(flow), reference) for flow in self.flows]
-
-    def _compare(self, row: dict[str, Any], reference: dict[str, Any]) -> dict[str, Any]:
-        compared = {"wet_discharge": "wet_discharge_m3", "discharge": "discharge_m3"}
-        compared |= {f"peak_{each}min": f"peak_{each}min_l_s" for each in PEAK_MIN}
-        return row | {
-            f"{what}_reduction": 1 - row[name] / reference[name] if reference[name] else np.nan
-            for what, name in compared.items()
-        }
-
-    def _row(self, flow: Flow) -> dict[str, Any]:
-        volumes, area = self.group_discharges(flow).sum(axis=0), self.areas.sum()
-        low, groups = self._add(flow, 1).sum(axis=0), self._buildings.groups
-        rain = float(self.areas @ self.rain.sum(axis=1)[self._buildings.cells])
-        row: dict[str, Any] = {
-            **flow._asdict(), "buildings": int((groups < self._adopted(flow)).sum()),
-            "rain_m3": rain, "discharge_m3": float(volumes.sum()),
-            "retention_share": 1 - float(volumes.sum()) / rain if rain else np.nan,
-            "wet_discharge_m3": float(volumes[self.wet].sum()),
-            "low_outlet_m3": float(low.sum()), "wet_low_outlet_m3": float(low[self.wet].sum()),
-        }
-        for weather, where in (("", volumes), ("dry_", np.where(self.wet, 0.0, volumes))):
-            for minutes in PEAK_MIN:
-                peak = 1000 * find_peak(where, self.durations, minutes)
-                row[f"{weather}peak_{minutes}min_l_s"] = peak
-                row[f"{weather}peak_{minutes}min_mm_h"] = HOUR_S * peak / area
-        if self._district.sewer_capacity is not None:
-            capacity = self._district.sewer_capacity / 1000 / HOUR_S * area
-            beyond = volumes - capacity * self.durations
+    def add(self, flow: Flow) -> dict[str, Any]:
+        """Return the results of a flow, summed over all buildings; names include the units."""
+        volumes, as_is = (self.group_discharges(each).sum(axis=0) for each in (flow, AS_IS))
+        adopts, area = self._groups < self._count(flow), self.areas.sum()
+        with np.errstate(invalid="ignore"):  # NaN without rain
+            row: dict[str, Any] = {
+                **flow._asdict(), "buildings": int(adopts.sum()), "rain_m3": as_is.sum(),
+                "discharge_m3": volumes.sum(), "retention_share": 1 - volumes.sum() / as_is.sum(),
+                "wet_discharge_m3": volumes[self.wet].sum(), "wet_discharge_reduction":
+                1 - volumes[self.wet].sum() / as_is[self.wet].sum(),
+            }
+        for minutes in PEAK_MIN:
+            peak = 1000 * find_peak(volumes, self.durations, minutes)
+            row |= {f"peak_{minutes}min_l_s": peak,
+                    f"peak_{minutes}min_mm_h": HOUR_S * peak / area}
+        if (capacity := self.district.sewer_capacity) is not None:
+            beyond = volumes - capacity / 1000 / HOUR_S * area * self.durations
             over = beyond > _NOTHING
             row |= {
-                "sewer_overflow_m3": float(beyond[over].sum()),
-                "sewer_overflow_hours": float(self.durations[over].sum()) / HOUR_S,
-                "dry_sewer_overflow_m3": float(beyond[over & ~self.wet].sum()),
+                "sewer_overflow_m3": beyond[over].sum(),
+                "dry_sewer_overflow_m3": beyond[over & ~self.wet].sum(),
             }
-        for name in ("overflow_m3", "overflow_days", "pumped_m3", "stress_hours", "drainage_m3",
-                     "rain_roof_m3"):
-            row[name] = float(self.values(flow, name).sum())
-        if not np.isnan(self.metrics[NONE]["mains_m3"]).all():  # the cisterns have mains water
-            pumped, met = (self.values(flow, name) for name in ("pumped_m3", "demand_met_share"))
-            row["mains_m3"] = float(self.values(flow, "mains_m3").sum())
-            # A building that pumps nothing has no share, and no part in that of all.
-            row["demand_met_share"] = (
-                float(np.nansum(pumped * met)) / pumped.sum() if pumped.sum() else np.nan
-            )
-        return row
+        return row | {
+            name: np.nansum(self.metrics[f"{flow.outlet}:{name}"][adopts]) if adopts.any() else 0.0
+            for name in ("overflow_m3", "pumped_m3", "mains_m3")
+        }
+
+    def list_buildings(self) -> pl.DataFrame:
+        """Return the name, connected area and metrics of each building."""
+        return pl.DataFrame({ID: self._ids, "connected_area_m2": self.areas, **self.metrics})
 
 
-def _change(
-    district: District, outlet: str, buildings: Buildings, sites: Sequence[Site], place: int
+def _equip(
+    district: keys.District, outlet: str, building: dict[str, Any], site: Site
 ) -> tuple[Site, dict[str, Any]]:
     """Return a building's site with a kind of outlet, and the parameters of its controller."""
-    site = sites[place]
-    given = {name: of[place] for name, of in buildings.values.items() if is_of_policy(name)}
-    if outlet in (NONE, ORIFICE):
-        changes = dict.fromkeys(("low_outlet_level", "low_outlet_radius")) if outlet == NONE else {
-            name: value for name, value in asdict(district.orifice).items() if value is not None
-        }
+    given = {name: building[name] for name in keys.POLICY_KEYS if name in building}
+    if outlet not in (keys.NONE, keys.ORIFICE) and building[LOW_OUTLET]:
+        given["outlet"] = outlet
+    else:
+        changes: dict[str, Any] = dict.fromkeys(("low_outlet_level", "low_outlet_radius"))
+        if outlet != keys.NONE and building[LOW_OUTLET]:
+            changes = {n: each for n, each in asdict(district.orifice).items() if each is not None}
         site = replace(site, **WITHOUT_VALVE, **changes)
         given = {name: value for name, value in given.items() if name == LEVEL.name}
-    else:
-        given["outlet"] = outlet
     try:
-        if outlet == ORIFICE:
+        if outlet == keys.ORIFICE:
             check_site(site)
         return site, find_controller("onoff").complete_parameters(site, given)
     except ConfigurationError as error:
-        raise refuse_building(district, buildings, place, error) from None
+        raise refuse_building(district, building, error) from None
 
 
 def find_peak(volumes: Values, durations: Values, minutes: float) -> float:
