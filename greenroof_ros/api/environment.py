@@ -3,23 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from datetime import datetime, timedelta
-from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from greenroof_ros.api.simulate import (
-    ForecastSteps,
-    FunctionController,
-    SiteState,
-    build_run,
-    read_number,
-)
+from greenroof_ros.api.simulate import ForecastSteps, FunctionController, SiteState, build_run
 from greenroof_ros.base.errors import ConfigurationError
+from greenroof_ros.base.processes import count_cores
 from greenroof_ros.controllers.decide import COMMANDS
 from greenroof_ros.controllers.outlet import SHARE
 from greenroof_ros.controllers.registry import choose_class
@@ -41,25 +36,23 @@ Values = NDArray[np.float64]
 # What a command from outside does not change, instead of the parameters of on/off control.
 _PARAMETERS = {"fraction": 0.0, "level": 0.0}
 _CONTROL = Control(0.0, math.inf, -math.inf, 1.0, 1.0)
-# Ticks that are read together.
-_BLOCK = 1024
+# Ticks that are read together, and number of sites that are worth threads.
+_BLOCK, _MIN_SITES = 1024, 64
 
 
 def restart(run: Run, start: datetime, seed: int | None) -> Run:
     """Return a run with another start, and with another seed of its forecasts' errors if given."""
-    choice, series = run.forecast_choice, run.series
+    choice = run.forecast_choice
     if seed is not None and "seed" in choice.options():
         choice = replace(choice, seed=seed)
-    if start != run.start:
-        series = WeatherSeries(run.weather, run.site, start, run.steps)
-    elif choice == run.forecast_choice:
+    if (start, choice) == (run.start, run.forecast_choice):
         return run
-    return replace(
-        run, start=start, series=series, forecast_choice=choice, forecast=make_forecast(
-            run.weather, series, run.site, start, run.parameters["horizon"], choice,
-            *find_needs(run.controller, run.parameters),
-        ),
+    series = WeatherSeries(run.weather, run.site, start, run.steps)
+    forecast = make_forecast(
+        run.weather, series, run.site, start, run.parameters["horizon"], choice,
+        *find_needs(run.controller, run.parameters),
     )
+    return replace(run, start=start, series=series, forecast=forecast, forecast_choice=choice)
 
 
 def follow_rain(rain: Any, tau: float, without_rain: float) -> Any:
@@ -85,21 +78,27 @@ class Roofs:
     Attributes:
         runs: the run of each of n sites.
         tick: number of the current tick.
+        left: number of ticks until the end of the runs.
     """
 
     def __init__(self, runs: Sequence[Run]) -> None:
         """Begin with tick 0 of the run of each site."""
-        run, self.runs, self.tick, count = runs[0], runs, 0, len(runs)
+        run, self.runs, count = runs[0], runs, len(runs)
+        self.tick, self.left = 0, run.steps
         self._first, self._end, self._plant = 0, 0, plant_parameters(run.site)
         self._season = Season(
             [Case(each.site, _PARAMETERS, each, each.x1, each.x2) for each in runs], 0, 0,
             can_compile(),
         )
+        # From an old pool, threads end by themselves.
+        self._map: Any = ThreadPoolExecutor(count_cores()).map if count >= _MIN_SITES else map
         kind = np.ndarray if can_compile() else np.recarray
         self._sites = self._season.sites._replace(
             runs=np.arange(count), controls=records([_CONTROL] * count).view(kind)
         )
         self._without_rain = np.array([[each.without_rain_s] for each in runs])
+        begins = [each.time_ns(0) / 1e9 for each in runs]
+        self._new_days = [find_new_days(run.site, begin, run.steps) for begin in begins]
         self._read(0)
 
     def _read(self, last: int) -> None:
@@ -115,24 +114,18 @@ class Roofs:
         ])
         rule: Any = is_wet  # of numbers, and of arrays
         wet = rule(self._without_rain[:, 1:], site.tau, self._plant.wet_after_s)
-        new_day = np.array([
-            np.isin(np.arange(first, last), find_new_days(site, each.time_ns(0) / 1e9, run.steps))
-            for each in self.runs
-        ])
+        new_day = np.array([np.isin(np.arange(first, last), days) for days in self._new_days])
         errors = self._season.errors[first:last]
         self._ticks = Ticks(first, rain, potential, frost, wet, quiet, new_day, errors)
         self._first, self._end = first, last
 
-    def follow(
-        self, commands: Any, ticks: int, spread: Callable[..., Any] = map
-    ) -> Values:
+    def follow(self, commands: Any, ticks: int) -> Values:
         """Simulate some ticks with the same commands, or fewer up to the end of the runs.
 
         Args:
             commands: command to the pumps (share of the maximum flow) and opening of the valve
                 (share; 1 without a valve) of each site, shape (n, 2).
             ticks: number of ticks.
-            spread: ``map`` of a pool of threads, which share the sites.
 
         Returns:
             The negative deviation of each roof's reading from its target, summed over the states
@@ -146,20 +139,16 @@ class Roofs:
         # A single tick is kept: it is a multiple of itself.
         kept = np.zeros((len(controls), 2 if ticks == 1 else 0, len(ALL_KEPT)))
         self._sites = self._sites._replace(kept=kept)
-        list(spread(partial(self._simulate, first, last), self._season.parts))
-        self.tick, p = last, self._plant
+
+        def simulate(part: tuple[slice, Any, Any]) -> None:
+            rows, _, hydrograph = part
+            sites = Sites(*(each[rows] for each in self._sites))
+            self._season.run_ticks(sites, self._ticks, first, last, hydrograph, max(1, first), -1)
+
+        list(self._map(simulate, self._season.parts))
+        self.tick, self.left, p = last, self.left - (last - first), self._plant
         rewards: Values = -(self._sites.missed + abs(self.levels[:, 1] * p.a2 - p.x2_star))
         return rewards
-
-    def _simulate(self, first: int, last: int, part: tuple[slice, Any, Any]) -> None:
-        """Simulate a part of the sites from one tick to another."""
-        sites = Sites(*(each[part[0]] for each in self._sites))
-        self._season.run_ticks(sites, self._ticks, first, last, part[2], max(1, first), -1)
-
-    @property
-    def left(self) -> int:
-        """Number of ticks until the end of the runs."""
-        return self.runs[0].steps - self.tick
 
     @property
     def levels(self) -> Values:
@@ -169,11 +158,14 @@ class Roofs:
             levels[:, 1] = np.maximum(0.0, levels[:, 1] + self._season.errors[self.tick])
         return levels
 
-    def state(self, row: int = 0) -> SiteState:
-        """Return the time and the levels of a site."""
-        run = self.runs[row]
-        time = run.start + timedelta(seconds=self.tick * run.site.tau)
-        return SiteState(time, *self.levels[row].tolist(), run.site)
+    @property
+    def states(self) -> list[SiteState]:
+        """The time and the levels of every site."""
+        passed = timedelta(seconds=self.tick * self._plant.tau)
+        return [
+            SiteState._make((run.start + passed, *levels, run.site))
+            for run, levels in zip(self.runs, self.levels.tolist(), strict=True)
+        ]
 
     @property
     def forecasts(self) -> Values:
@@ -187,28 +179,23 @@ class Roofs:
     @property
     def wet_left(self) -> Values:
         """Time for which the weather will stay wet without more rain, as a share, shape (n,)."""
-        after = self._plant.wet_after_s
-        left = np.maximum(0.0, after - self._without_rain[:, self.tick - self._first])
-        shares: Values = np.divide(left, after, out=np.zeros_like(left), where=left > 0)
-        return shares
+        after, place = self._plant.wet_after_s, self.tick - self._first
+        return np.maximum(0.0, after - self._without_rain[:, place]) / (after or 1.0)
 
-    def find_tick(self, readings: Values, row: int = 0) -> Tick:
-        """Return the last tick of a site, if it was simulated alone.
-
-        Args:
-            readings: the levels before it (m), shape (2,).
-            row: number of the site.
-        """
-        k = self.tick - 1
-        v = dict(zip(ALL_KEPT, self._sites.kept[row][min(k, 1)].tolist(), strict=True))
-        flows = Flows(
-            v["outflow"], v["pump_flow"], v["drainage"], v["evaporated"], v["limited"] > 0,
-            v["mains"], v["low_outlet"],
-        )
-        return Tick._make((
-            k, v["cistern"], v["roof"], v["layer"], *readings.tolist(), v["precipitation"],
-            v["evapotranspiration"], v["frost"], v["command"], flows, v["outlet"],
-        ))
+    def act(self, commands: Any) -> list[Tick]:
+        """Simulate a tick with commands as of :meth:`follow`, and return it for every site."""
+        readings, k, ticks = self.levels.tolist(), self.tick, list[Tick]()
+        self.follow(commands, 1)
+        for levels, kept in zip(readings, self._sites.kept[:, min(k, 1)].tolist(), strict=True):
+            (
+                cistern, roof, rain, demand, command, pump, outflow, drained, frost, layer, outlet,
+                low_outlet, evaporated, limited, mains,
+            ) = kept
+            flows = Flows(outflow, pump, drained, evaporated, limited > 0, mains, low_outlet)
+            ticks.append(Tick._make((
+                k, cistern, roof, layer, *levels, rain, demand, frost, command, flows, outlet
+            )))
+        return ticks
 
     def metrics(self) -> list[dict[str, float]]:
         """Return the metrics of every site, as if the runs ended now."""
@@ -294,22 +281,19 @@ class Environment:
         """
         if self.done:
             raise ConfigurationError("has ended; call reset() to restart it", key="the run")
-        share, opening = COMMANDS.read(read_number(command), key="command"), 1.0
-        readings = self._roofs.levels[0]
-        if outlet is not None:
-            opening = SHARE.read(read_number(outlet), key="outlet")
+        share, opening = COMMANDS.read(float(command), key="command"), 1.0
         if self._policy is not None:
             # Called in every tick, because it counts the time without rain.
-            outlook = self._run.forecast.at(self._roofs.tick)
-            chosen = self._policy(*readings.tolist(), outlook.rain, outlook.evapotranspiration)
-            opening = chosen if outlet is None else opening
-        elif outlet is not None:
-            raise ConfigurationError(
-                "commands the valve on the low outlet, which this site does not have "
-                "(low_outlet_valve: true)", key="outlet", value=outlet,
-            )
-        self._roofs.follow([(share, opening)], 1)
-        return self._roofs.find_tick(readings)
+            rain, evaporated, *_ = self._run.forecast.at(self._roofs.tick)
+            _, cistern, roof, _ = self.state
+            opening = self._policy(cistern, roof, rain, evaporated)
+        if outlet is not None:
+            if self._policy is None:
+                raise ConfigurationError(
+                    "needs a site with a valve (low_outlet_valve: true)", key="outlet", value=outlet
+                )
+            opening = SHARE.read(float(outlet), key="outlet")
+        return self._roofs.act([(share, opening)])[0]
 
     @property
     def state(self) -> SiteState:
@@ -321,7 +305,7 @@ class Environment:
             >>> roof.state.time.isoformat(), round(roof.state.cistern_level, 3)
             ('2021-07-07T02:00:00-05:00', 2.308)
         """
-        return self._roofs.state()
+        return self._roofs.states[0]
 
     @property
     def done(self) -> bool:
@@ -347,7 +331,7 @@ class Environment:
         """
         run = self._run
         own = run.controller.own_forecast(self._own_steps, *run.forecast.at(self._roofs.tick)[:2])
-        return ForecastSteps(*map(np.asarray, own), self._ends)
+        return ForecastSteps._make(map(np.asarray, (*own, self._ends)))
 
     @property
     def metrics(self) -> dict[str, float]:

@@ -10,8 +10,7 @@ With the prefix ``greenroof_ros.gym:``, any process can find them:
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from datetime import timedelta
 from typing import Any
@@ -22,7 +21,6 @@ from numpy.typing import NDArray
 from greenroof_ros.api.environment import Roofs, restart
 from greenroof_ros.api.simulate import FunctionController, SiteState, build_run
 from greenroof_ros.base.errors import ConfigurationError, require_extra
-from greenroof_ros.base.processes import count_cores
 from greenroof_ros.base.ranges import Range
 from greenroof_ros.controllers.registry import choose_class
 from greenroof_ros.simulation.inputs import make_inputs
@@ -33,7 +31,6 @@ from greenroof_ros.weather.records import HOUR
 
 with require_extra("gym"):
     import gymnasium
-    from gymnasium.error import ResetNeeded
     from gymnasium.spaces import Box
     from gymnasium.utils.seeding import np_random
     from gymnasium.vector import AutoresetMode, VectorEnv
@@ -42,10 +39,9 @@ with require_extra("gym"):
 Values = NDArray[np.float32]
 Flags = NDArray[np.bool_]
 
-_TO_MM_PER_H = 3.6e6
-# What becomes 1 in an observation: rain (mm/h) and evapotranspiration (mm/day), both rarely
-# exceeded; higher values are 1, too.
-_MAX_RAIN, _MAX_EVAPOTRANSPIRATION = 50.0, 12.0
+# What becomes 1 in an observation: rain of 50 mm/h and evapotranspiration of 12 mm/day (m/s), both
+# rarely exceeded; higher values are 1, too.
+_MAX_RAIN, _MAX_EVAPOTRANSPIRATION = 50.0 / 3.6e6, 12.0 / 1000 / 86400
 _TICKS = Range(1, 1e9, whole=True)
 _RANDOM, _MAX_DRAWS = "random", 100
 
@@ -59,7 +55,7 @@ class _Agent(FunctionController):
 _AGENT = choose_class(_Agent)
 
 
-def read_actions(actions: Any, shape: tuple[int, ...]) -> NDArray[np.float64]:
+def read_actions(actions: Any, shape: Any) -> NDArray[np.float64]:
     """Return actions as commands to the pumps and to the valve, shape (n, 2).
 
     Args:
@@ -139,20 +135,18 @@ class GreenRoofEnv(gymnasium.Env[Values, Values]):
         """
         self.render_mode, self._reward = render_mode, reward
         self._decision_ticks = int(_TICKS.read(decision_ticks, key="decision_ticks"))
-        self._is_random, self._roofs = inputs.get("start") == _RANDOM, None
+        self._is_random = inputs.get("start") == _RANDOM
         if self._is_random:  # until the first one is drawn
             known = make_inputs(_AGENT, {**inputs, "start": None})
             weather, _ = known.read_records(known.read_site())
             inputs.update(weather=weather, start=weather.first)
         self._own = build_run(make_inputs(_AGENT, inputs))
         self._inputs, self.site = {**inputs, "weather": self._own.weather}, self._own.site
-        self.ends: NDArray[np.float64] = np.asarray(
-            look_ahead_ends(self.site, self._own.parameters["horizon"])
-        )
+        self.ends = look_ahead_ends(self.site, self._own.parameters["horizon"])
         steps = len(self.ends) - 1
         self._scale = np.array([
-            1.5 * self.site.z_o, 2.0 * self.site.z_veg, *[_MAX_RAIN / _TO_MM_PER_H] * steps,
-            *[_MAX_EVAPOTRANSPIRATION / 1000 / 86400 * self.site.a2] * steps,
+            1.5 * self.site.z_o, 2.0 * self.site.z_veg, *[_MAX_RAIN] * steps,
+            *[_MAX_EVAPOTRANSPIRATION * self.site.a2] * steps,
         ])
         has_valve = self.site.low_outlet_valve
         self.observation_space = Box(0.0, 1.0, (len(self._scale) + has_valve,), np.float32)
@@ -165,14 +159,15 @@ class GreenRoofEnv(gymnasium.Env[Values, Values]):
 
         Args:
             seed: seed of the environment's random numbers.
-            options: ``start`` and ``initial`` of this episode, which replace the environment's own.
+            options: inputs that replace the environment's own in this episode, such as ``start``
+                and ``initial``.
 
         Returns:
             The observation, and a dictionary with ``start``, ``cistern_m3`` and ``roof_m3`` of the
             episode.
 
         Raises:
-            ConfigurationError: if the value of an option is invalid.
+            ConfigurationError: if an option is invalid.
         """
         super().reset(seed=seed)
         self._roofs = self.begin([self.np_random], options)
@@ -185,11 +180,8 @@ class GreenRoofEnv(gymnasium.Env[Values, Values]):
         Raises:
             ConfigurationError: if the action is not one number from 0 to 1 (two numbers at a site
                 with a valve).
-            gymnasium.error.ResetNeeded: if no episode has begun, or if it has ended.
         """
         roofs = self._roofs
-        if roofs is None or not roofs.left:
-            raise ResetNeeded("call reset() before step()")
         (reward,) = self.play(roofs, read_actions(action, self.action_space.shape)).tolist()
         info = {"metrics": roofs.metrics()[0]} if not roofs.left else {}
         return self.observe(roofs)[0], reward, False, not roofs.left, info
@@ -198,32 +190,18 @@ class GreenRoofEnv(gymnasium.Env[Values, Values]):
         self, randoms: Iterable[np.random.Generator], options: Mapping[str, Any] | None
     ) -> Roofs:
         """Begin an episode with each of some random number generators; see :meth:`reset`."""
-        return Roofs([*self._draw(randoms, **(options or {}))])
+        options = options or {}
+        run = build_run(make_inputs(_AGENT, {**self._inputs, **options})) if options else self._own
+        is_random = self._is_random and "start" not in options
+        return Roofs([_draw_run(run, random, is_random) for random in randoms])
 
-    def _draw(
-        self, randoms: Iterable[np.random.Generator], start: Any = None, initial: Any = None
-    ) -> Iterator[Run]:
-        run, is_random = self._own, self._is_random and start is None
-        given = {"start": start, "initial": initial}
-        if given := {name: value for name, value in given.items() if value is not None}:
-            run = build_run(make_inputs(_AGENT, {**self._inputs, **given}))
-        for random in randoms:
-            yield _draw_run(run, random, is_random)
-
-    def play(
-        self, roofs: Roofs, commands: NDArray[np.float64], spread: Callable[..., Any] = map
-    ) -> NDArray[np.float64]:
+    def play(self, roofs: Roofs, commands: NDArray[np.float64]) -> NDArray[np.float64]:
         """Apply commands during the ticks of one step, and return the rewards, shape (n,)."""
         if self._reward is None:
-            return roofs.follow(commands, self._decision_ticks, spread)
+            return roofs.follow(commands, self._decision_ticks)
         rewards = np.zeros(len(commands))
         for _ in range(min(self._decision_ticks, roofs.left)):
-            readings = roofs.levels
-            roofs.follow(commands, 1, spread)
-            rewards += [
-                self._reward(roofs.find_tick(each, row), roofs.state(row))
-                for row, each in enumerate(readings)
-            ]
+            rewards += [*map(self._reward, roofs.act(commands), roofs.states)]
         return rewards
 
     def observe(self, roofs: Roofs) -> Values:
@@ -234,14 +212,12 @@ class GreenRoofEnv(gymnasium.Env[Values, Values]):
             values = np.column_stack((values, roofs.wet_left))
         return np.asarray(np.clip(values, 0.0, 1.0), np.float32)
 
-    def describe(self, roofs: Roofs) -> Iterator[dict[str, Any]]:
-        """Yield the ``info`` of the beginning of each episode."""
-        for row in range(len(roofs.runs)):
-            state = roofs.state(row)
-            yield {
-                "start": state.time.isoformat(), "cistern_m3": state.cistern,
-                "roof_m3": state.roof,
-            }
+    def describe(self, roofs: Roofs) -> list[dict[str, Any]]:
+        """Return the ``info`` of the beginning of each episode."""
+        return [
+            {"start": each.time.isoformat(), "cistern_m3": each.cistern, "roof_m3": each.roof}
+            for each in roofs.states
+        ]
 
 
 def _draw_run(run: Run, random: np.random.Generator, is_random: bool) -> Run:
@@ -250,18 +226,15 @@ def _draw_run(run: Run, random: np.random.Generator, is_random: bool) -> Run:
     Raises:
         ConfigurationError: if the record contains too many missing hours.
     """
-    first, start = run.weather.first, run.start
-    count = (run.weather.end - first - timedelta(
-        seconds=(run.steps + run.site.M) * run.site.tau
-    )) // HOUR + 1
+    start, record = run.start, run.weather.end - run.weather.first
+    last = (record - timedelta(seconds=(run.steps + run.site.M) * run.site.tau)) // HOUR
     for _ in range(_MAX_DRAWS):
         if is_random:
-            start = first + int(random.integers(max(1, count))) * HOUR
+            start = run.weather.first + int(random.integers(max(0, last) + 1)) * HOUR
         with suppress(ConfigurationError):
             return restart(run, start, int(random.integers(2**31)))
     raise ConfigurationError(
-        f"{_MAX_DRAWS} randomly drawn episodes all contained missing hours; gaps='fill' fills "
-        "missing hours", key="weather",
+        f"lacks hours in {_MAX_DRAWS} random episodes; gaps='fill' fills them", key="weather"
     )
 
 
@@ -269,10 +242,9 @@ class GreenRoofVectorEnv(VectorEnv[Values, Values, NDArray[Any]]):
     """A Gymnasium vector environment of green roofs, which threads step at once.
 
     Environment i equals a ``GreenRoof-v1`` that is seeded with the i-th seed, bit for bit: its
-    observations, actions, rewards and ``info`` are those that :class:`.GreenRoofEnv` describes.
-    All episodes have the same length, and end in the same step. In the
-    next step, the actions are ignored and all environments are reset
-    (``AutoresetMode.NEXT_STEP``).
+    observations, actions, rewards and ``info`` are those that :class:`.GreenRoofEnv` describes. All
+    episodes have the same length, and end in the same step. In the next step, the actions are
+    ignored and all environments are reset (``AutoresetMode.NEXT_STEP``).
 
     Ticks and rewards are compiled with numba. With ``errors`` or ``ensemble``, every roof has
     forecasts of its own, and drawing them takes most of the time.
@@ -317,8 +289,6 @@ class GreenRoofVectorEnv(VectorEnv[Values, Values, NDArray[Any]]):
         self.observation_space = batch_space(single.observation_space, num_envs)
         self.action_space = batch_space(single.action_space, num_envs)
         self._randoms = [np_random()[0] for _ in range(num_envs)]
-        self._roofs: Roofs | None = None
-        self._pool = ThreadPoolExecutor(count_cores())
 
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None,
@@ -335,17 +305,14 @@ class GreenRoofVectorEnv(VectorEnv[Values, Values, NDArray[Any]]):
             The observations, and the ``info`` of all environments as arrays.
 
         Raises:
-            ConfigurationError: if an option or the number of seeds is invalid.
+            ConfigurationError: if an option is invalid.
+            ValueError: if the number of seeds is not that of the environments.
         """
-        count = self.num_envs
         if isinstance(seed, (int, np.integer)):
-            seed = range(int(seed), int(seed) + count)
-        seeds = [None] * count if seed is None else seed
-        if len(seeds) != count:
-            raise ConfigurationError(f"must be one number, or {count} numbers", key="seed")
+            seed = range(int(seed), int(seed) + self.num_envs)
         self._randoms = [
-            random if own is None else np_random(own)[0]
-            for own, random in zip(seeds, self._randoms, strict=True)
+            random if own is None else np_random(own)[0] for own, random in
+            zip(seed or [None] * self.num_envs, self._randoms, strict=True)
         ]
         self._roofs = roofs = self._single.begin(self._randoms, options)
         return self._single.observe(roofs), self._collect(self._single.describe(roofs))
@@ -358,24 +325,15 @@ class GreenRoofVectorEnv(VectorEnv[Values, Values, NDArray[Any]]):
         Raises:
             ConfigurationError: if an action is not one number from 0 to 1 (two numbers at sites
                 with a valve).
-            gymnasium.error.ResetNeeded: if the environments have not been reset yet.
         """
-        count, roofs = self.num_envs, self._roofs
-        if roofs is None:
-            raise ResetNeeded("call reset() before step()")
-        never = np.zeros(count, np.bool_)
+        roofs, never = self._roofs, np.zeros(self.num_envs, np.bool_)
         if not roofs.left:
             observations, infos = self.reset()
-            return observations, np.zeros(count), never, never.copy(), infos
-        commands = read_actions(actions, self.action_space.shape)
-        rewards = self._single.play(roofs, commands, self._pool.map)
-        metrics = roofs.metrics() if not roofs.left else []
+            return observations, np.zeros(self.num_envs), never, never.copy(), infos
+        rewards = self._single.play(roofs, read_actions(actions, self.action_space.shape))
+        metrics, ended = ([], never.copy()) if roofs.left else (roofs.metrics(), ~never)
         infos = self._collect({"metrics": each} for each in metrics)
-        return self._single.observe(roofs), rewards, never, np.full(count, not roofs.left), infos
-
-    def close_extras(self, **_: Any) -> None:
-        """End the threads."""
-        self._pool.shutdown()
+        return self._single.observe(roofs), rewards, never, ended, infos
 
     def _collect(self, infos: Iterable[dict[str, Any]]) -> dict[str, Any]:
         """Return the ``info`` of every environment as arrays, as Gymnasium's own vectors do."""

@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import os
-import sys
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 from functools import cached_property
-from numbers import Real
 from pathlib import Path
-from traceback import walk_stack
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +17,6 @@ from numpy.typing import NDArray
 from greenroof_ros.base.errors import ConfigurationError, rename_keys, require_extra
 from greenroof_ros.base.files import default_site_file
 from greenroof_ros.base.parameter import Parameter
-from greenroof_ros.base.ranges import Range
 from greenroof_ros.base.times import duration, to_minutes
 from greenroof_ros.controllers.registry import ControllerChoice, choose_class, find_controller
 from greenroof_ros.physics.storm_water import Event
@@ -39,14 +35,10 @@ if TYPE_CHECKING:
     import altair
     import polars
 
-PathText: TypeAlias = "str | os.PathLike[str]"
 Values = NDArray[np.float64]
 
-_EVERY = Range(0.0, 1e9, "s")
-_NOT_THE_USERS = {__name__.partition(".")[0], "gymnasium"}
 
-
-def read_site(path: PathText | None = None, **changes: Any) -> Site:
+def read_site(path: str | Path | None = None, **changes: Any) -> Site:
     """Read a site file, or the paper's site if no file is given.
 
     Volumes that depend on changed values are recomputed, such as the target volume ``x2_star`` if
@@ -72,18 +64,14 @@ def read_site(path: PathText | None = None, **changes: Any) -> Site:
 def build_run(inputs: RunInputs) -> Run:
     """Build and check a run, and issue its notes as warnings.
 
-    The warnings name the line of the user's program, which Python then shows once.
+    A warning names the line that called the caller.
 
     Raises:
         ConfigurationError: if an input is invalid.
     """
     run = inputs.build()
-    level = next(
-        count for count, (frame, _) in enumerate(walk_stack(sys._getframe()), start=1)
-        if frame.f_globals.get("__name__", "").partition(".")[0] not in _NOT_THE_USERS
-    )
     for note in (*run.notes(), *run.weather_notes()):
-        warnings.warn(note, stacklevel=level)
+        warnings.warn(note, stacklevel=3)
     return run
 
 
@@ -129,13 +117,6 @@ Function = Callable[[SiteState, ForecastSteps], float]
 """A controller: a function that returns the command, as a share of the pumps' maximum flow (1)."""
 
 
-def read_number(value: Any) -> Any:
-    """Return a number as a float, or the only number in an array; any other value unchanged."""
-    if isinstance(value, np.ndarray) and value.size == 1:
-        value = value.item()
-    return float(value) if isinstance(value, Real) else value
-
-
 class FunctionController:
     """A controller that calls a function; a subclass provides the function."""
 
@@ -144,30 +125,23 @@ class FunctionController:
         "length of the forecast, which is divided into steps of increasing length",
     ),)
     function: ClassVar[Function]
-    forecast_ends: Values
+    forecast_ends: Values = np.empty(0)
+    start: datetime
+    """start of the run, which is set before the run"""
 
     def __init__(self, site: Site, horizon: float) -> None:
-        self._site = site
-        self._tick = -1
-        self.forecast_ends = np.empty(0)
-        self.start: datetime
-        """start of the run, which is set before the run"""
+        self._site, self._tick = site, -1
 
-    def command(
-        self,
-        cistern_level: float,
-        roof_level: float,
-        precipitation: Sequence[float],
-        evapotranspiration: Sequence[float],
-    ) -> float:
-        """Return the result of the function, as a float if it is a number."""
+    def command(self, cistern_level: float, roof_level: float, *forecast: Any) -> float:
+        """Return the result of the function, as a float if it is a number or an array of one."""
         self._tick += 1
         time = self.start + timedelta(seconds=self._tick * self._site.tau)
-        forecast = map(np.asarray, (precipitation, evapotranspiration, self.forecast_ends))
-        command: float = read_number(type(self).function(
-            SiteState(time, cistern_level, roof_level, self._site), ForecastSteps(*forecast)
-        ))
-        return command
+        state = SiteState(time, cistern_level, roof_level, self._site)
+        steps = ForecastSteps._make(map(np.asarray, (*forecast, self.forecast_ends)))
+        command: Any = type(self).function(state, steps)
+        with suppress(TypeError, ValueError):  # anything else is rejected, and named
+            command = np.asarray(command, np.float64).item()
+        return command  # type: ignore[no-any-return]
 
     def skip(self) -> None:
         """Count a tick in which the pump must not run."""
@@ -329,7 +303,7 @@ class Result:
         """
         return Comparison({self.run.controller.name: self}).plot()
 
-    def save(self, directory: PathText) -> Path:
+    def save(self, directory: str | Path) -> Path:
         """Write a run directory as ``greenroof simulate --trajectory`` does, and return its path.
 
         ``greenroof report DIRECTORY`` reads it.
@@ -420,7 +394,7 @@ def simulate(
         >>> gr.simulate(dry, hours=2).metrics["pump_starts"]
         2
     """
-    every_s = _EVERY.read(inputs.pop("trajectory_every", None) or 0.0, key="trajectory_every")
+    every_s = inputs.pop("trajectory_every", None) or 0.0
     run = build_run(make_inputs(choose_controller(controller), inputs))
     instance = run.make_controller()
     if isinstance(instance, FunctionController):
@@ -453,12 +427,8 @@ class Comparison:
             >>> table["controller", "pump_starts"].rows()
             [('on/off', 1), ('MPC', 1)]
         """
-        hours = {each.run.steps * each.run.site.tau / 3600 for each in self.results.values()}
-        if len(hours) > 1:
-            raise ConfigurationError(
-                f"differ in length ({min(hours):.5g} to {max(hours):.5g} h); all runs in a table "
-                "must have the same length", key="runs",
-            )
+        if len({each.run.steps * each.run.site.tau for each in self.results.values()}) > 1:
+            raise ConfigurationError("must have the same length in a table", key="all runs")
         return make_frame([
             {"controller": name, **result.metrics} for name, result in self.results.items()
         ])
@@ -516,18 +486,16 @@ def compare(
 def make_table(site: Site, ticks: Trajectory) -> polars.DataFrame:
     """Return a trajectory as a table with the columns of :attr:`Result.trajectory`."""
     frame = ticks.to_frame()
-    with require_extra("study"):
-        import polars
     # Not divided by polars, which multiplies by the reciprocal and gets other bits than the plant.
     levels = {"cistern_level_m": ticks.cistern / site.a1, "roof_level_m": ticks.roof / site.a2}
     if site.time_zone is not None:
-        frame = frame.with_columns(polars.col("time").dt.convert_time_zone(site.time_zone))
-    frame = frame.with_columns(polars.Series(name, each) for name, each in levels.items())
+        frame = frame.with_columns(frame["time"].dt.convert_time_zone(site.time_zone))
+    frame = frame.with_columns(**levels)
     order = (column.name for column in COLUMNS if column.name in frame.columns)
     return frame.select("time", "time_s", *order)
 
 
-def read_bag(path: PathText, site: PathText | Site | None = None) -> polars.DataFrame:
+def read_bag(path: str | Path, site: str | Path | Site | None = None) -> polars.DataFrame:
     """Read the trajectory from a bag that was recorded by a run of this package or at a real site.
 
     Args:
@@ -553,9 +521,8 @@ def read_bag(path: PathText, site: PathText | Site | None = None) -> polars.Data
     """
     with require_extra("study"):
         from greenroof_ros.analysis.report.bags import read_run
-    run = read_run(Path(path), Path(site) if isinstance(site, (str, os.PathLike)) else site)
-    trajectory = run.trajectory()
-    if trajectory is None:
+    run = read_run(Path(path), Path(site) if isinstance(site, str) else site)
+    if (trajectory := run.trajectory()) is None:
         raise ConfigurationError(
             "contains only results: the run wrote no trajectory", file=Path(path)
         )
