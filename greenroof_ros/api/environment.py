@@ -27,7 +27,7 @@ from greenroof_ros.results.metrics import end_run, find_new_days
 from greenroof_ros.simulation.inputs import find_needs, make_inputs
 from greenroof_ros.simulation.loop import Tick
 from greenroof_ros.simulation.run import Run
-from greenroof_ros.simulation.season import ALL_KEPT, Case, Control, Season, Sites, Ticks
+from greenroof_ros.simulation.season import ALL_KEPT, Case, Control, Season, Ticks, run_ticks
 from greenroof_ros.site.horizon import look_ahead_ends
 from greenroof_ros.weather.series import WeatherSeries
 
@@ -86,16 +86,15 @@ class Roofs:
         run, self.runs, count = runs[0], runs, len(runs)
         self.tick, self.left = 0, run.steps
         self._first, self._end, self._plant = 0, 0, plant_parameters(run.site)
-        self._season = Season(
-            [Case(each.site, _PARAMETERS, each, each.x1, each.x2) for each in runs], 0, 0,
-            can_compile(),
-        )
+        cases = [Case(run.site, _PARAMETERS, each, each.x1, each.x2) for each in runs]
+        season = Season(cases, 0, 0, can_compile())
         # From an old pool, threads end by themselves.
         self._map: Any = ThreadPoolExecutor(count_cores()).map if count >= _MIN_SITES else map
         kind = np.ndarray if can_compile() else np.recarray
-        self._sites = self._season.sites._replace(
+        self._sites = season.sites._replace(
             runs=np.arange(count), controls=records([_CONTROL] * count).view(kind)
         )
+        self._errors, self._parts = season.errors, season.parts
         self._without_rain = np.array([[each.without_rain_s] for each in runs])
         begins = [each.time_ns(0) / 1e9 for each in runs]
         self._new_days = [find_new_days(run.site, begin, run.steps) for begin in begins]
@@ -112,10 +111,9 @@ class Roofs:
             compiled(follow_rain)(of_run, site.tau, times[first - self._first])
             for of_run, times in zip(rain, self._without_rain, strict=True)
         ])
-        rule: Any = is_wet  # of numbers, and of arrays
-        wet = rule(self._without_rain[:, 1:], site.tau, self._plant.wet_after_s)
+        wet = is_wet(self._without_rain[:, 1:], site.tau, self._plant.wet_after_s)
         new_day = np.array([np.isin(np.arange(first, last), days) for days in self._new_days])
-        errors = self._season.errors[first:last]
+        errors = self._errors[first:last]
         self._ticks = Ticks(first, rain, potential, frost, wet, quiet, new_day, errors)
         self._first, self._end = first, last
 
@@ -139,13 +137,14 @@ class Roofs:
         # A single tick is kept: it is a multiple of itself.
         kept = np.zeros((len(controls), 2 if ticks == 1 else 0, len(ALL_KEPT)))
         self._sites = self._sites._replace(kept=kept)
+        simulate: Any = compiled(run_ticks)
 
-        def simulate(part: tuple[slice, Any, Any]) -> None:
+        def run(part: tuple[slice, Any, Any]) -> None:
             rows, _, hydrograph = part
-            sites = Sites(*(each[rows] for each in self._sites))
-            self._season.run_ticks(sites, self._ticks, first, last, hydrograph, max(1, first), -1)
+            sites = type(self._sites)(*(each[rows] for each in self._sites))
+            simulate(sites, self._ticks, first, last, hydrograph, max(1, first), -1)
 
-        list(self._map(simulate, self._season.parts))
+        list(self._map(run, self._parts))
         self.tick, self.left, p = last, self.left - (last - first), self._plant
         rewards: Values = -(self._sites.missed + abs(self.levels[:, 1] * p.a2 - p.x2_star))
         return rewards
@@ -154,8 +153,8 @@ class Roofs:
     def levels(self) -> Values:
         """Readings of the sensors in the cisterns and on the roofs (m), shape (n, 2)."""
         levels: Values = np.array(self._sites.state)[:, :2] / (self._plant.a1, self._plant.a2)
-        if len(self._season.errors):
-            levels[:, 1] = np.maximum(0.0, levels[:, 1] + self._season.errors[self.tick])
+        if len(self._errors):
+            levels[:, 1] = np.maximum(0.0, levels[:, 1] + self._errors[self.tick])
         return levels
 
     @property

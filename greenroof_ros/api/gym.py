@@ -10,7 +10,7 @@ With the prefix ``greenroof_ros.gym:``, any process can find them:
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from datetime import timedelta
 from typing import Any
@@ -37,7 +37,6 @@ with require_extra("gym"):
     from gymnasium.vector.utils import batch_space
 
 Values = NDArray[np.float32]
-Flags = NDArray[np.bool_]
 
 # What becomes 1 in an observation: rain of 50 mm/h and evapotranspiration of 12 mm/day (m/s), both
 # rarely exceeded; higher values are 1, too.
@@ -117,7 +116,7 @@ class GreenRoofEnv(gymnasium.Env[Values, Values]):
 
     def __init__(
         self, *, reward: Callable[[Tick, SiteState], float] | None = None,
-        decision_ticks: int = 1, render_mode: str | None = None, **inputs: Any,
+        decision_ticks: int = 1, **inputs: Any,
     ) -> None:
         """Create the environment from the inputs of :class:`.Environment`.
 
@@ -126,16 +125,14 @@ class GreenRoofEnv(gymnasium.Env[Values, Values]):
                 state after it; None for the negative deviation.
             decision_ticks: number of ticks for which an action applies; the last action may be cut
                 short by the end of the window.
-            render_mode: None, the only mode.
             inputs: site, weather, start, hours, forecast, horizon (h) and others; start can also
                 be ``"random"``.
 
         Raises:
             ConfigurationError: if an input is invalid.
         """
-        self.render_mode, self._reward = render_mode, reward
         self._decision_ticks = int(_TICKS.read(decision_ticks, key="decision_ticks"))
-        self._is_random = inputs.get("start") == _RANDOM
+        self._reward, self._is_random = reward, inputs.get("start") == _RANDOM
         if self._is_random:  # until the first one is drawn
             known = make_inputs(_AGENT, {**inputs, "start": None})
             weather, _ = known.read_records(known.read_site())
@@ -206,8 +203,7 @@ class GreenRoofEnv(gymnasium.Env[Values, Values]):
 
     def observe(self, roofs: Roofs) -> Values:
         """Return the observations of roofs, shape (n, entries)."""
-        values = np.hstack((roofs.levels, roofs.forecasts))
-        values /= self._scale
+        values = np.hstack((roofs.levels, roofs.forecasts)) / self._scale
         if self.site.low_outlet_valve:
             values = np.column_stack((values, roofs.wet_left))
         return np.asarray(np.clip(values, 0.0, 1.0), np.float32)
@@ -268,22 +264,18 @@ class GreenRoofVectorEnv(VectorEnv[Values, Values, NDArray[Any]]):
         "render_modes": [], "autoreset_mode": AutoresetMode.NEXT_STEP,
     }
 
-    def __init__(
-        self, num_envs: int = 1, *, render_mode: str | None = None, **inputs: Any
-    ) -> None:
+    def __init__(self, num_envs: int = 1, **inputs: Any) -> None:
         """Create the environments from the inputs of :class:`.GreenRoofEnv`.
 
         Args:
             num_envs: number of environments.
-            render_mode: None, the only mode.
             inputs: as for :class:`.GreenRoofEnv`.
 
         Raises:
             ConfigurationError: if an input is invalid.
         """
         self._single = single = GreenRoofEnv(**inputs)
-        self.num_envs, self.render_mode = num_envs, render_mode
-        self.site, self.ends = single.site, single.ends
+        self.num_envs, self.site, self.ends = num_envs, single.site, single.ends
         self.single_observation_space = single.observation_space
         self.single_action_space = single.action_space
         self.observation_space = batch_space(single.observation_space, num_envs)
@@ -291,8 +283,7 @@ class GreenRoofVectorEnv(VectorEnv[Values, Values, NDArray[Any]]):
         self._randoms = [np_random()[0] for _ in range(num_envs)]
 
     def reset(
-        self, *, seed: int | Sequence[int | None] | None = None,
-        options: Mapping[str, Any] | None = None,
+        self, *, seed: Any = None, options: Mapping[str, Any] | None = None
     ) -> tuple[Values, dict[str, Any]]:
         """Begin an episode of every environment.
 
@@ -317,9 +308,7 @@ class GreenRoofVectorEnv(VectorEnv[Values, Values, NDArray[Any]]):
         self._roofs = roofs = self._single.begin(self._randoms, options)
         return self._single.observe(roofs), self._collect(self._single.describe(roofs))
 
-    def step(
-        self, actions: Values
-    ) -> tuple[Values, NDArray[np.float64], Flags, Flags, dict[str, Any]]:
+    def step(self, actions: Values) -> tuple[Values, Any, Any, Any, dict[str, Any]]:
         """Apply an action of each environment, or reset all of them after the end of an episode.
 
         Raises:

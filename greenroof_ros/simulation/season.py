@@ -334,7 +334,6 @@ class Season:
         errors: error of the roof's sensor in every tick (m), see :class:`Ticks`.
         parts: adjacent sites, which a thread simulates one after the other; each with its groups
             and their hydrographs.
-        run_ticks: :func:`run_ticks` or :func:`run_planned`, compiled if that pays.
     """
 
     def __init__(self, cases: Sequence[Case], every: int, total: int, compiles: bool) -> None:
@@ -352,7 +351,7 @@ class Season:
         # Not in the threads, each of which would compile them.
         plans = cases[0].parameters.get("outlet") == PLAN
         functions: Any = find_wet, run_planned if plans else run_ticks
-        self._find_wet, self.run_ticks = map(compiled, functions) if compiles else functions
+        self._find_wet, self._run_ticks = map(compiled, functions) if compiles else functions
         # Plain Python is faster with lists.
         self._as_taken: Callable[[Any], Any] = lambda array: array if compiles else array.tolist()
         self.errors = read_errors(run.sensor_and_pump, run.steps + 1)
@@ -444,7 +443,7 @@ class Season:
     ) -> None:
         """Simulate a part of the sites in some ticks, with their plans if there are forecasts."""
         rows, _, hydrograph = part
-        self.run_ticks(
+        self._run_ticks(
             Sites(*(each[rows] for each in self.sites)), ticks, begin, end, hydrograph,
             self._every, self._run.steps, *forecasts,
         )
