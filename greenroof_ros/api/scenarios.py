@@ -182,7 +182,7 @@ def score(
         raise ConfigurationError(
             describe_choices([*scenarios], str(scenario)), key="scenario", value=scenario
         )
-    if fixed := parameters.keys() & INPUTS:
-        raise ConfigurationError("is fixed by the scenario", key=fixed.pop())
+    for name in parameters.keys() & INPUTS:
+        raise ConfigurationError("is fixed by the scenario", key=name, value=parameters[name])
     known = scenarios[scenario]
     return Score(known, simulate(controller, **known.inputs, **parameters))

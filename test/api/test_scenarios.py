@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import copy
 import csv
-import pickle
 from pathlib import Path
 
 import numpy as np
@@ -48,15 +46,12 @@ class Shut:
 
 
 def reference(scenario: str, controller: str) -> dict[str, float]:
-    (row,) = (
-        row for row in read_references()
-        if (row["scenario"], row["controller"]) == (scenario, controller)
-    )
-    return row
+    own = read_references().filter(scenario=scenario, controller=controller)
+    return own.row(0, named=True)
 
 
 def test_the_table_has_each_controller_of_each_scenario_and_none_is_below_its_bound():
-    rows = read_references()
+    rows = read_references().rows(named=True)
     expected = [
         (name, controller)
         for name, known in gr.scenarios.items() for controller in known.controllers
@@ -73,20 +68,13 @@ def test_the_table_has_each_controller_of_each_scenario_and_none_is_below_its_bo
         assert len(placebos) == 1 and placebos[0] >= min(scores.values())
 
 
-def test_nothing_in_a_scenario_can_be_changed():
-    """Neither by hand nor in a copy that other processes get; a simulation takes the inputs."""
+def test_the_inputs_of_a_scenario_are_new_each_time():
     paper = gr.scenarios["paper"]
-    with pytest.raises(TypeError):
-        gr.scenarios["paper"] = 1
     with pytest.raises(AttributeError):
         paper.inputs = {}
     paper.inputs["hours"] = 1
-    with pytest.raises(AttributeError):
-        paper.inputs["site"].a2 = 1.0
-    for copied in (copy.deepcopy(paper), pickle.loads(pickle.dumps(paper))):
-        assert copied == paper and type(copied.inputs) is type(paper.inputs)
-    assert gr.simulate("onoff", **{**paper.inputs, "hours": 1}).run.steps == 3600
     assert paper.inputs["hours"] == 12
+    assert gr.simulate("onoff", **{**paper.inputs, "hours": 1}).run.steps == 3600
 
 
 @pytest.mark.parametrize(("scenario", "controller"), [
@@ -139,14 +127,13 @@ def wet_ticks(rain, tau, wet_after):
 
 @pytest.mark.parametrize("scenario", SHORT)
 def test_own_controllers_are_scored_and_stay_above_the_bound(scenario):
-    """A function, a class, an instance: the score follows from the trajectory, added up here."""
+    """A function, a class: the score follows from the trajectory, added up here."""
     known = gr.scenarios[scenario]
     found = [gr.score(dry, scenario), gr.score("onoff", scenario)]
     if "wet_discharge_m3" in known.weights:
-        found += [gr.score(Shut, scenario), gr.score(Shut(known.inputs["site"]), scenario)]
-        assert found[2].value == found[3].value == pytest.approx(
-            reference(scenario, "valve closed")["score"], rel=1e-5
-        )
+        found.append(gr.score(Shut, scenario))
+        closed = reference(scenario, "valve closed")["score"]
+        assert found[2].value == pytest.approx(closed, rel=1e-5)
     assert found[0].value == found[1].value  # the suction level does not matter here
     if known.unit == "m3":  # the whole frontier of a run of its own
         run = found[1].result.run
@@ -170,9 +157,8 @@ def test_a_printed_score_says_it_in_its_first_line_and_compares(tmp_path):
     assert first.startswith(f"storm-minutes: {found.value:.2f} m3, at best {found.bound:.2f}.")
     names = [row.split("h  ", 1)[1] for row in rows]
     assert sorted(names) == sorted([
-        f"yours: {found.name}", *gr.scenarios["storm-minutes"].controllers
+        "yours: dry", *gr.scenarios["storm-minutes"].controllers
     ])
-    assert "dry" in found.name
     scores = found.table["score"].to_list()
     assert scores == sorted(scores)
     assert found.table.columns == ["controller", "score", "bound", "stress_hours"]
