@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-import io
 import struct
 from datetime import datetime, timezone
 
@@ -68,17 +67,6 @@ def test_a_notebook_shows_a_picture_without_internet(compared: Comparison) -> No
     assert 640 < about["image/png"]["width"] == struct.unpack(">I", picture[16:20])[0] / 2 < 900
     with altair.renderers.enable("json"):  # the user's choice
         assert "image/png" not in compared.plot()._repr_mimebundle_()
-
-
-def test_a_picture(compared: Comparison) -> None:
-    """It can be drawn without a browser; a single run has no legend."""
-    stream = io.BytesIO()
-    compared.plot().save(stream, format="png")
-    width, height = struct.unpack(">II", stream.getvalue()[16:24])  # of the PNG's header
-    assert 700 < width < 1400
-    assert height > 500
-    alone = compared.results["MPC"].plot().to_dict()["vconcat"][1]["layer"][-1]
-    assert alone["encoding"]["color"]["legend"] is None
 
 
 def test_table(compared: Comparison) -> None:

@@ -83,22 +83,6 @@ def test_refused_decisions(ticks: Any) -> None:
         gymnasium.make(ID, decision_ticks=ticks)
 
 
-@pytest.mark.parametrize("mode", ["sync", "async"])
-@pytest.mark.parametrize("entries", [1, 2])
-def test_vectorised(mode: str, entries: int) -> None:
-    """By Gymnasium's own means; the copies are alike, and begin again automatically."""
-    site = VALVE_SITE if entries == 2 else None
-    roofs = gymnasium.make_vec(ID, num_envs=2, vectorization_mode=mode, hours=0.01, site=site)
-    first, _ = roofs.reset(seed=1)
-    truncated = []
-    for _ in range(37):
-        observations, *_, ended, _ = roofs.step(np.ones((2, entries)))
-        truncated.append(ended.all())
-    roofs.close()
-    assert (truncated.index(True), sum(truncated)) == (35, 1)
-    assert (observations == first).all()
-
-
 def test_observation() -> None:
     """Shares of the ranges: levels, then 3.2 mm of rain in the three hours from 02:00."""
     roof = gymnasium.make(ID, hours=1, horizon=3)
@@ -170,17 +154,6 @@ def test_options_of_an_episode() -> None:
     assert roof.reset()[1]["start"] == "2021-07-07T02:00:00-05:00"
     with pytest.raises(ConfigurationError, match="beginning = 1: is neither an input nor"):
         roof.reset(options={"beginning": 1})
-
-
-def test_a_decision_of_several_ticks_keeps_the_pumps_limits() -> None:
-    """Two minutes on at least, though the first minute's action is the only one that pumps."""
-    roof = gymnasium.make(ID, hours=0.1, decision_ticks=60, pump_min_on=120.0)
-    roof.reset()
-    ended, actions = False, iter([0.3, *[0.0] * 5])
-    while not ended:
-        *_, ended, info = roof.step(np.array([next(actions)]))
-    assert info["metrics"]["pump_hours"] * 3600 == pytest.approx(120, abs=1), info
-    assert info["metrics"]["pump_starts"] == 1
 
 
 def test_the_second_entry_commands_the_valve() -> None:

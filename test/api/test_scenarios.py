@@ -8,12 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from places import CHECKOUT
-from reference_scores import compute, delay_by_a_week
+from reference_scores import compute
 from refusals import refusal
 
 import greenroof_ros as gr
 from greenroof_ros.api.scenarios import read_references
-from greenroof_ros.forecast.issue import read_archive
 from greenroof_ros.simulation.bound import bound_discharge
 from greenroof_ros.simulation.loop import simulate
 
@@ -151,7 +150,7 @@ def test_own_controllers_are_scored_and_stay_above_the_bound(scenario):
         assert one.value == pytest.approx(own, rel=1e-6)
 
 
-def test_a_printed_score_says_it_in_its_first_line_and_compares(tmp_path):
+def test_a_printed_score_says_it_in_its_first_line_and_compares():
     found = gr.score(dry, "storm-minutes", outlet="plan")
     first, _, *rows = repr(found).splitlines()
     assert first.startswith(f"storm-minutes: {found.value:.2f} m3, at best {found.bound:.2f}.")
@@ -179,18 +178,6 @@ def test_what_the_scenario_fixes_cannot_be_given():
     for name, value in (("hours", 1), ("site", "x.yaml"), ("forecast", "perfect")):
         with pytest.raises(Exception, match=f"{name} = .*: is fixed by the scenario"):
             gr.score("onoff", "paper", **{name: value})
-
-
-def test_the_forecasts_of_a_week_before_are_the_same_a_week_later(tmp_path):
-    archive = Path(gr.scenarios["season-forecasts"].inputs["forecast"])
-    late = tmp_path / "late.csv"
-    delay_by_a_week(archive, late)
-    site = gr.scenarios["season-forecasts"].inputs["site"]
-    ours, theirs = (read_archive(file, site) for file in (archive, late))
-    assert len(ours) == len(theirs) > 700
-    for issue, later in zip(ours[::50], theirs[::50], strict=True):
-        assert (later.issued - issue.issued).days == 7
-        assert np.array_equal(issue.rain, later.rain)
 
 
 def test_all_data_are_in_the_package_and_name_their_licence():

@@ -10,9 +10,8 @@ import subprocess
 import sys
 import warnings
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from datetime import date, datetime
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -183,25 +182,6 @@ def test_a_trajectory_of_some_ticks(every: float | None, kept: Sequence[int]) ->
     assert result.metrics == whole.metrics
 
 
-def test_the_command_writes_the_same_at_once_and_paced(tmp_path: Path) -> None:
-    """On/off at once or tick by tick: readings of a noisy sensor, and the drainage layer."""
-    options = (
-        "--controller", "onoff", "--hours", "3", "--site", str(CONFIG / "site_neubrandenburg.yaml"),
-        "--start", "2021-07-08T10:00", "--roof-noise", "0.01", "--trajectory-every", "7",
-    )
-    texts, summaries = [], []
-    for number, pace in enumerate(("max", "1e9")):
-        directory = tmp_path / str(number)
-        directory.mkdir()
-        summaries.append(of_command(directory, "--speed", pace, *options))
-        texts.append((directory / "out" / "trajectory.csv").read_text())
-    assert texts[0] == texts[1]
-    assert {key for key, value in summaries[0].items() if summaries[1][key] != value} <= OTHER
-    with (tmp_path / "0" / "out" / "trajectory.csv").open() as stream:
-        layers = [float(row["drainage_layer_m3"]) for row in csv.DictReader(stream)]
-    assert layers[0] < max(layers) and layers[-1] == summaries[0]["final_layer_m3"]
-
-
 def test_the_drainage_layer_of_a_saved_run(tmp_path: Path) -> None:
     inputs = {"site": CONFIG / "site_neubrandenburg.yaml", "start": "2021-07-08T10:00", "hours": 2}
     result = gr.simulate("onoff", **inputs)
@@ -274,26 +254,6 @@ def test_numbers_of_numpy(tmp_path: Path) -> None:
     directory = result.save(tmp_path / "run")
     assert "np." not in (directory / "configuration" / "site.yaml").read_text()
     assert gr.read_site(directory / "configuration" / "site.yaml") == plain.run.site
-    for wrong in ({"d": np.bool_(True)}, {"z_veg": np.array([0.04])}, {"M": np.float32(1.5)}):
-        (name,) = wrong
-        refusal(lambda wrong=wrong: gr.read_site(**wrong), match=f"^{name} = .*: must be a")
-        broken = replace(plain.run.site, **wrong)
-        refusal(lambda broken=broken: gr.simulate(site=broken), match=f"^{name} = .*: must be a")
-
-
-def test_threads_share_no_files() -> None:
-    """Sites and data frames are not kept in files of the process."""
-    text = [line for line in PAPERS.read_text().splitlines() if line[0] != "#"]
-    frame = polars.read_csv("\n".join(text).encode())
-
-    def run(level: float) -> float:
-        site = gr.read_site(z_veg=level)
-        return gr.simulate("onoff", site=site, weather=frame, hours=0.1).metrics["pumped_m3"]
-
-    levels = [0.04, 0.041, 0.042, 0.043]
-    expected = [run(level) for level in levels]
-    with ThreadPoolExecutor(4) as threads:
-        assert [*threads.map(run, levels)] == expected
 
 
 ROWS: dict[str, list[Any]] = {
@@ -364,12 +324,6 @@ def test_what_is_wrong_is_named(inputs: dict[str, object], reason: str) -> None:
     refusal(lambda: gr.simulate(**inputs), match=reason)  # type: ignore[arg-type]
 
 
-def test_a_run_can_start_with_a_day() -> None:
-    """At its first tick."""
-    started = gr.simulate("onoff", hours=0.1, start=date(2021, 7, 8)).run.start
-    assert started.isoformat() == "2021-07-08T00:00:00-05:00"
-
-
 def test_a_saved_run_is_read_by_the_report(tmp_path: Path) -> None:
     """As the directory of a run, with its trajectory; nothing is overwritten."""
     result = gr.simulate("onoff", level=0.9, hours=1)
@@ -382,16 +336,6 @@ def test_a_saved_run_is_read_by_the_report(tmp_path: Path) -> None:
     assert trajectory is not None
     assert trajectory.roof.tolist() == result.trajectory["roof_m3"].to_list()
     assert gr.read_bag(tmp_path / "mine").equals(result.trajectory)
-
-
-def test_the_commands_run_is_read_by_the_report(tmp_path: Path) -> None:
-    """With its results, and its trajectory, digit for digit."""
-    of_command(tmp_path, "--controller", "onoff", "--hours", "0.3", "--trajectory-every", "10")
-    expected = gr.simulate("onoff", hours=0.3)
-    (run,) = find_runs([tmp_path / "out"]).runs
-    assert run.row["total_deviation_m3"] == expected.metrics["total_deviation_m3"]
-    assert (run.row["initial"], run.row["hours"]) == ("low-low", pytest.approx(0.3))
-    assert gr.read_bag(tmp_path / "out").equals(expected.trajectory[::10])
 
 
 def test_a_run_that_failed_has_no_trajectory(tmp_path: Path) -> None:
