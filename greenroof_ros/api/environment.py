@@ -128,7 +128,12 @@ class Roofs:
         Returns:
             The negative deviation of each roof's reading from its target, summed over the states
             after the ticks (m3), shape (n,).
+
+        Raises:
+            ConfigurationError: if the runs have ended.
         """
+        if not self.left:
+            raise ConfigurationError("has ended; call reset() to restart it", key="the run")
         first, last = self.tick, self.tick + min(ticks, self.left)
         if last >= self._end:
             self._read(last + 1)
@@ -278,8 +283,6 @@ class Environment:
             >>> tick.k, tick.command, round(1000 * tick.flows.pump, 2)
             (0, 0.5, 4.18)
         """
-        if self.done:
-            raise ConfigurationError("has ended; call reset() to restart it", key="the run")
         share, opening = COMMANDS.read(float(command), key="command"), 1.0
         if self._policy is not None:
             # Called in every tick, because it counts the time without rain.

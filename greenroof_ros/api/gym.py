@@ -156,8 +156,7 @@ class GreenRoofEnv(gymnasium.Env[Values, Values]):
 
         Args:
             seed: seed of the environment's random numbers.
-            options: inputs that replace the environment's own in this episode, such as ``start``
-                and ``initial``.
+            options: ``start`` and ``initial`` of this episode, which replace the environment's own.
 
         Returns:
             The observation, and a dictionary with ``start``, ``cistern_m3`` and ``roof_m3`` of the
@@ -176,7 +175,7 @@ class GreenRoofEnv(gymnasium.Env[Values, Values]):
 
         Raises:
             ConfigurationError: if the action is not one number from 0 to 1 (two numbers at a site
-                with a valve).
+                with a valve), or if the episode has ended.
         """
         roofs = self._roofs
         (reward,) = self.play(roofs, read_actions(action, self.action_space.shape)).tolist()
@@ -188,6 +187,8 @@ class GreenRoofEnv(gymnasium.Env[Values, Values]):
     ) -> Roofs:
         """Begin an episode with each of some random number generators; see :meth:`reset`."""
         options = options or {}
+        for name in options.keys() - {"start", "initial"}:
+            raise ConfigurationError("must be start or initial", key="option", value=name)
         run = build_run(make_inputs(_AGENT, {**self._inputs, **options})) if options else self._own
         is_random = self._is_random and "start" not in options
         return Roofs([_draw_run(run, random, is_random) for random in randoms])
@@ -197,7 +198,7 @@ class GreenRoofEnv(gymnasium.Env[Values, Values]):
         if self._reward is None:
             return roofs.follow(commands, self._decision_ticks)
         rewards = np.zeros(len(commands))
-        for _ in range(min(self._decision_ticks, roofs.left)):
+        for _ in range(min(self._decision_ticks, max(1, roofs.left))):
             rewards += [*map(self._reward, roofs.act(commands), roofs.states)]
         return rewards
 

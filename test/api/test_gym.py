@@ -48,6 +48,8 @@ def played(policy: Callable[[Any, Any], Any], **inputs: Any) -> tuple[float, dic
         observation, reward, terminated, ended, info = roof.step(policy(roof, observation))
         total += float(reward)
         assert not terminated
+    with pytest.raises(ConfigurationError, match="the run: has ended"):
+        roof.step(roof.action_space.sample())
     return total, info["metrics"]
 
 
@@ -152,7 +154,7 @@ def test_options_of_an_episode() -> None:
         "roof_m3": pytest.approx(1.3 * 68.8 * 0.0457),
     }
     assert roof.reset()[1]["start"] == "2021-07-07T02:00:00-05:00"
-    with pytest.raises(ConfigurationError, match="beginning = 1: is neither an input nor"):
+    with pytest.raises(ConfigurationError, match="option = 'beginning': must be start or in"):
         roof.reset(options={"beginning": 1})
 
 
