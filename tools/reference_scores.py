@@ -57,13 +57,15 @@ def main() -> None:
         for controller in scenarios[name].controllers:
             found = compute(name, controller)
             print(f"{name}, {controller}: {found.value:.3f}, at best {found.bound:.3f}", flush=True)
-            numbers = found.value, found.bound, found.result.metrics["stress_hours"]
-            rows.append(dict(zip(
-                ("scenario", "controller", "score", "bound", "stress_hours"),
-                (name, controller, *(float(f"{number:.6g}") for number in numbers)), strict=True,
-            )))
+            rows.append({
+                "scenario": name, "controller": controller, "score": found.value,
+                "bound": found.bound, "stress_hours": found.result.metrics["stress_hours"],
+            })
     rows.sort(key=lambda row: [*scenarios].index(row["scenario"]))
-    text = polars.DataFrame(rows).write_csv()
+    text = polars.DataFrame([
+        {name: f"{value:.6g}" if isinstance(value, float) else value for name, value in row.items()}
+        for row in rows
+    ]).write_csv()
     replace_text(REFERENCES, f"# Written by python tools/reference_scores.py\n{text}")
 
 
