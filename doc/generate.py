@@ -629,15 +629,12 @@ def nodes() -> str | None:
 
 def scenario_scores() -> str:
     """Return the scores of each scenario's controllers, the best first."""
-    rows = sorted(read_references(), key=lambda row: row["score"])
-    names = dict.fromkeys(row["scenario"] for row in read_references())
     return "\n".join(
         f"**`{name}`**\n\n" + markdown(("controller", "score", "at best", "water stress"), (
-            (row["controller"], f"{row['score']:.2f}", f"{row['bound']:.2f}",
-             f"{row['stress_hours']:.0f} h")
-            for row in rows if row["scenario"] == name
+            (controller, f"{score:.2f}", f"{bound:.2f}", f"{stress:.0f} h")
+            for _, controller, score, bound, stress in own.sort("score", maintain_order=True).rows()
         ))
-        for name in names
+        for (name,), own in read_references().group_by("scenario", maintain_order=True)
     )
 
 

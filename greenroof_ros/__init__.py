@@ -10,8 +10,8 @@ if TYPE_CHECKING:
     from typing import Any
 
     from greenroof_ros.analysis.calibration.result import calibrate
-    from greenroof_ros.analysis.sizing.run import size
     from greenroof_ros.analysis.district.result import district
+    from greenroof_ros.analysis.sizing.run import size
     from greenroof_ros.analysis.study import study
     from greenroof_ros.analysis.verification.result import verify
     from greenroof_ros.api.environment import Environment

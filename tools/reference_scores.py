@@ -6,7 +6,6 @@ Computing all of them takes about ten minutes.
 
 from __future__ import annotations
 
-import csv
 import sys
 import tempfile
 import warnings
@@ -15,14 +14,11 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from greenroof_ros.api.scenarios import (
-    REFERENCES,
-    Score,
-    evaluate,
-    read_references,
-    scenarios,
-)
-from greenroof_ros.base.files import replace_text, shared_directory
+import polars
+
+from greenroof_ros.api.scenarios import REFERENCES, Score, read_references, scenarios
+from greenroof_ros.api.simulate import simulate
+from greenroof_ros.base.files import replace_text
 
 A_WEEK_LATE = "a week late"
 
@@ -50,31 +46,27 @@ def compute(scenario: str, controller: str) -> Score:
         if inputs.get("forecast") == A_WEEK_LATE:
             inputs["forecast"] = str(Path(directory) / "late.csv")
             delay_by_a_week(Path(known.inputs["forecast"]), Path(inputs["forecast"]))
-        return evaluate(known, name, inputs)
+        return Score(known, simulate(name, **{**known.inputs, **inputs}))
 
 
 def main() -> None:
     """Write the scores of the scenarios named on the command line, or of all scenarios."""
     wanted = sys.argv[1:] or [*scenarios]
-    path = shared_directory() / "config" / REFERENCES
-    rows = read_references() if path.exists() else []
-    kept = [row for row in rows if row["scenario"] not in wanted]
+    rows = [row for row in read_references().rows(named=True) if row["scenario"] not in wanted]
     for name in wanted:
         for controller in scenarios[name].controllers:
             found = compute(name, controller)
             print(f"{name}, {controller}: {found.value:.3f}, at best {found.bound:.3f}", flush=True)
-            kept.append({
-                "scenario": name, "controller": controller, "score": f"{found.value:.6g}",
-                "bound": f"{found.bound:.6g}",
-                "stress_hours": f"{found.result.metrics['stress_hours']:.6g}",
+            rows.append({
+                "scenario": name, "controller": controller, "score": found.value,
+                "bound": found.bound, "stress_hours": found.result.metrics["stress_hours"],
             })
-    kept.sort(key=lambda row: [*scenarios].index(row["scenario"]))
-    with tempfile.TemporaryFile("w+", newline="") as stream:
-        writer = csv.DictWriter(stream, [*kept[0]], lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(kept)
-        stream.seek(0)
-        replace_text(path, f"# Written by python tools/reference_scores.py\n{stream.read()}")
+    rows.sort(key=lambda row: [*scenarios].index(row["scenario"]))
+    text = polars.DataFrame([
+        {name: f"{value:.6g}" if isinstance(value, float) else value for name, value in row.items()}
+        for row in rows
+    ]).write_csv()
+    replace_text(REFERENCES, f"# Written by python tools/reference_scores.py\n{text}")
 
 
 if __name__ == "__main__":

@@ -1,58 +1,213 @@
-"""A run in which a program sets the command at every step."""
+"""Runs in which a program sets the commands at every step: of one site, or of many at once."""
 
 from __future__ import annotations
 
-import copy
 import math
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from datetime import datetime, timedelta
-from numbers import Integral
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from greenroof_ros.api.roofs import Roofs
-from greenroof_ros.api.simulate import (
-    ForecastSteps,
-    FunctionController,
-    SiteState,
-    build_run,
-    read_number,
-)
+from greenroof_ros.api.simulate import ForecastSteps, FunctionController, SiteState, build_run
 from greenroof_ros.base.errors import ConfigurationError
+from greenroof_ros.base.processes import count_cores
+from greenroof_ros.controllers.decide import COMMANDS
 from greenroof_ros.controllers.outlet import SHARE
 from greenroof_ros.controllers.registry import choose_class
-from greenroof_ros.forecast.steps import make_forecast
-from greenroof_ros.physics.compiled import pays_to_compile
-from greenroof_ros.simulation.inputs import find_needs
+from greenroof_ros.forecast.choice import PERFECT
+from greenroof_ros.forecast.steps import SteppedForecast, make_forecast
+from greenroof_ros.physics.compiled import can_compile, compiled, records
+from greenroof_ros.physics.parameters import Flows, State, plant_parameters
+from greenroof_ros.physics.storm_water import is_wet, time_without_rain
+from greenroof_ros.results.metrics import end_run, find_new_days
+from greenroof_ros.simulation.inputs import find_needs, make_inputs
 from greenroof_ros.simulation.loop import Tick
 from greenroof_ros.simulation.run import Run
+from greenroof_ros.simulation.season import ALL_KEPT, Case, Control, Season, Ticks, run_ticks
 from greenroof_ros.site.horizon import look_ahead_ends
 from greenroof_ros.weather.series import WeatherSeries
+
+Values = NDArray[np.float64]
+
+# What a command from outside does not change, instead of the parameters of on/off control.
+_PARAMETERS = {"fraction": 0.0, "level": 0.0}
+_CONTROL = Control(0.0, math.inf, -math.inf, 1.0, 1.0)
+# Ticks that are read together, and number of sites that are worth threads.
+_BLOCK, _MIN_SITES = 1024, 64
 
 
 def restart(run: Run, start: datetime, seed: int | None) -> Run:
     """Return a run with another start, and with another seed of its forecasts' errors if given."""
-    choice, series = run.forecast_choice, run.series
+    choice = run.forecast_choice
     if seed is not None and "seed" in choice.options():
         choice = replace(choice, seed=seed)
     if (start, choice) == (run.start, run.forecast_choice):
         return run
-    if start != run.start:
-        series = WeatherSeries(run.weather, run.site, start, run.steps)
-    return replace(
-        run, start=start, series=series, forecast_choice=choice, forecast=make_forecast(
-            run.weather, series, run.site, start, run.parameters["horizon"], choice,
-            *find_needs(run.controller, run.parameters),
-        ),
+    series = WeatherSeries(run.weather, run.site, start, run.steps)
+    forecast = make_forecast(
+        run.weather, series, run.site, start, run.parameters["horizon"], choice,
+        *find_needs(run.controller, run.parameters),
     )
+    return replace(run, start=start, series=series, forecast=forecast, forecast_choice=choice)
 
 
-def foresee(run: Run, tick: int) -> tuple[Any, Any]:
-    """Return the rain (m/s) and the evapotranspiration (m3/s) in the steps of a forecast."""
-    rain, evaporated, *_ = run.forecast.at(tick)
-    own_steps = run.controller.count_own_steps(run.site, run.parameters)
-    return run.controller.own_forecast(own_steps, rain, evaporated)
+def follow_rain(rain: Any, tau: float, without_rain: float) -> Any:
+    """Return the time without rain (s) until the start of each tick, and until the end of the last.
+
+    Args:
+        rain: rain in each tick (m/s), shape (n,).
+        tau: duration of a tick (s).
+        without_rain: time without rain before the first tick (s).
+    """
+    times = np.full(len(rain) + 1, without_rain)
+    for tick in range(len(rain)):
+        times[tick + 1] = time_without_rain(times[tick], rain[tick], tau)
+    return times
+
+
+class Roofs:
+    """Sites with equal parameters in equally long runs, which follow commands from outside.
+
+    The ticks are those of a compiled season, and equal those of :class:`.loop.Simulation` bit for
+    bit. They are compiled with numba, if it is installed.
+
+    Attributes:
+        runs: the run of each of n sites.
+        tick: number of the current tick.
+        left: number of ticks until the end of the runs.
+    """
+
+    def __init__(self, runs: Sequence[Run]) -> None:
+        """Begin with tick 0 of the run of each site."""
+        run, self.runs, count = runs[0], runs, len(runs)
+        self.tick, self.left = 0, run.steps
+        self._first, self._end, self._plant = 0, 0, plant_parameters(run.site)
+        cases = [Case(run.site, _PARAMETERS, each, each.x1, each.x2) for each in runs]
+        season = Season(cases, 0, 0, can_compile())
+        # From an old pool, threads end by themselves.
+        self._map: Any = ThreadPoolExecutor(count_cores()).map if count >= _MIN_SITES else map
+        kind = np.ndarray if can_compile() else np.recarray
+        self._sites = season.sites._replace(
+            runs=np.arange(count), controls=records([_CONTROL] * count).view(kind)
+        )
+        self._errors, self._parts = season.errors, season.parts
+        self._without_rain = np.array([[each.without_rain_s] for each in runs])
+        begins = [each.time_ns(0) / 1e9 for each in runs]
+        self._new_days = [find_new_days(run.site, begin, run.steps) for begin in begins]
+        self._read(0)
+
+    def _read(self, last: int) -> None:
+        """Read the ticks from the current one to another (exclusive) or more, up to the end's."""
+        run, site, first = self.runs[0], self.runs[0].site, self.tick
+        last = min(max(last, first + _BLOCK), run.steps + 1)
+        rain, potential, frost, quiet = map(np.array, zip(
+            *(each.read_ticks(first, last, site) for each in self.runs), strict=True
+        ))
+        self._without_rain = np.array([
+            compiled(follow_rain)(of_run, site.tau, times[first - self._first])
+            for of_run, times in zip(rain, self._without_rain, strict=True)
+        ])
+        wet = is_wet(self._without_rain[:, 1:], site.tau, self._plant.wet_after_s)
+        new_day = np.array([np.isin(np.arange(first, last), days) for days in self._new_days])
+        errors = self._errors[first:last]
+        self._ticks = Ticks(first, rain, potential, frost, wet, quiet, new_day, errors)
+        self._first, self._end = first, last
+
+    def follow(self, commands: Any, ticks: int) -> Values:
+        """Simulate some ticks with the same commands, or fewer up to the end of the runs.
+
+        Args:
+            commands: command to the pumps (share of the maximum flow) and opening of the valve
+                (share; 1 without a valve) of each site, shape (n, 2).
+            ticks: number of ticks.
+
+        Returns:
+            The negative deviation of each roof's reading from its target, summed over the states
+            after the ticks (m3), shape (n,).
+
+        Raises:
+            ConfigurationError: if the runs have ended.
+        """
+        if not self.left:
+            raise ConfigurationError("has ended; call reset() to restart it", key="the run")
+        first, last = self.tick, self.tick + min(ticks, self.left)
+        if last >= self._end:
+            self._read(last + 1)
+        controls = self._sites.controls
+        controls["fraction"], controls["policy"] = np.transpose(commands)
+        # A single tick is kept: it is a multiple of itself.
+        kept = np.zeros((len(controls), 2 if ticks == 1 else 0, len(ALL_KEPT)))
+        self._sites = self._sites._replace(kept=kept)
+        simulate: Any = compiled(run_ticks)
+
+        def run(part: tuple[slice, Any, Any]) -> None:
+            rows, _, hydrograph = part
+            sites = type(self._sites)(*(each[rows] for each in self._sites))
+            simulate(sites, self._ticks, first, last, hydrograph, max(1, first), -1)
+
+        list(self._map(run, self._parts))
+        self.tick, self.left, p = last, self.left - (last - first), self._plant
+        rewards: Values = -(self._sites.missed + abs(self.levels[:, 1] * p.a2 - p.x2_star))
+        return rewards
+
+    @property
+    def levels(self) -> Values:
+        """Readings of the sensors in the cisterns and on the roofs (m), shape (n, 2)."""
+        levels: Values = np.array(self._sites.state)[:, :2] / (self._plant.a1, self._plant.a2)
+        if len(self._errors):
+            levels[:, 1] = np.maximum(0.0, levels[:, 1] + self._errors[self.tick])
+        return levels
+
+    @property
+    def states(self) -> list[SiteState]:
+        """The time and the levels of every site."""
+        passed = timedelta(seconds=self.tick * self._plant.tau)
+        return [
+            SiteState._make((run.start + passed, *levels, run.site))
+            for run, levels in zip(self.runs, self.levels.tolist(), strict=True)
+        ]
+
+    @property
+    def forecasts(self) -> Values:
+        """Rain (m/s) and then evapotranspiration (m3/s) in the steps, shape (n, 2 steps)."""
+        forecasts, place = [run.forecast for run in self.runs], self.tick - self._first
+        if len(forecasts) > 1 and self.runs[0].forecast_choice.model == PERFECT:
+            now = self._ticks.rain[:, place, None], self._ticks.potential[:, place, None]
+            return SteppedForecast.at_once(forecasts, self.tick, now)
+        return np.array([np.concatenate(each.at(self.tick)[:2]) for each in forecasts])
+
+    @property
+    def wet_left(self) -> Values:
+        """Time for which the weather will stay wet without more rain, as a share, shape (n,)."""
+        after, place = self._plant.wet_after_s, self.tick - self._first
+        return np.maximum(0.0, after - self._without_rain[:, place]) / (after or 1.0)
+
+    def act(self, commands: Any) -> list[Tick]:
+        """Simulate a tick with commands as of :meth:`follow`, and return it for every site."""
+        readings, k, ticks = self.levels.tolist(), self.tick, list[Tick]()
+        self.follow(commands, 1)
+        for levels, kept in zip(readings, self._sites.kept[:, min(k, 1)].tolist(), strict=True):
+            (
+                cistern, roof, rain, demand, command, pump, outflow, drained, frost, layer, outlet,
+                low_outlet, evaporated, limited, mains,
+            ) = kept
+            flows = Flows(outflow, pump, drained, evaporated, limited > 0, mains, low_outlet)
+            ticks.append(Tick._make((
+                k, cistern, roof, layer, *levels, rain, demand, frost, command, flows, outlet
+            )))
+        return ticks
+
+    def metrics(self) -> list[dict[str, float]]:
+        """Return the metrics of every site, as if the runs ended now."""
+        site, now = self.runs[0].site, self._sites
+        return [
+            end_run(site, [*map(float, sums)], events, State(*map(float, state))).metrics
+            for sums, events, state in zip(now.sums, now.events, now.state, strict=True)
+        ]
 
 
 class Environment:
@@ -60,7 +215,7 @@ class Environment:
 
     During frost and quiet hours, and on a roof without irrigation, the command is treated as 0. At
     a site with a valve on its low outlet, the program can also command the valve. Copies made with
-    ``copy`` or ``pickle`` continue from the same tick with bit-identical results.
+    ``copy.deepcopy`` or ``pickle`` continue from the same tick with bit-identical results.
 
     Example:
         >>> import greenroof_ros as gr
@@ -75,8 +230,6 @@ class Environment:
         site: parameters of the site.
     """
 
-    __copy__ = copy.deepcopy  # otherwise both would go on with one state
-
     def __init__(self, **inputs: Any) -> None:
         """Begin a run.
 
@@ -89,24 +242,17 @@ class Environment:
         Raises:
             ConfigurationError: if an input is invalid.
         """
-        run = build_run(choose_class(FunctionController), inputs, set())
-        self._begin(run, pays_to_compile(run.steps))
-
-    def _begin(self, run: Run, compiles: bool) -> None:
-        """Begin a run, whose ticks are compiled or not."""
-        self._run, self.site, self._compiles = run, run.site, compiles
-        self._ends = look_ahead_ends(run.site, run.parameters["horizon"])
-        self._roofs = Roofs([run], compiles)
-        self._policy = run.make_outlet(run.make_controller())
+        self._run = run = build_run(make_inputs(choose_class(FunctionController), inputs))
+        self.site, self._ends = run.site, look_ahead_ends(run.site, run.parameters["horizon"])
+        self._own_steps = run.controller.count_own_steps(run.site, run.parameters)
+        self.reset()
 
     def reset(self, seed: int | None = None) -> SiteState:
         """Restart the run, and return its initial state.
 
         Args:
-            seed: seed of the forecast errors; None leaves it unchanged.
-
-        Raises:
-            ConfigurationError: if the seed is not a whole number, or is negative.
+            seed: seed of the forecast errors, a non-negative whole number; None leaves it
+                unchanged.
 
         Example:
             >>> import greenroof_ros as gr
@@ -114,9 +260,9 @@ class Environment:
             >>> roof.step(0.0) and roof.reset().time.isoformat()
             '2021-07-07T02:00:00-05:00'
         """
-        if not (seed is None or (isinstance(seed, Integral) and seed >= 0)):
-            raise ConfigurationError("must be a non-negative whole number", key="seed", value=seed)
-        self._begin(restart(self._run, self._run.start, seed), self._compiles)
+        self._run = run = restart(self._run, self._run.start, seed)
+        self._roofs = Roofs([run])
+        self._policy = run.make_outlet(run.make_controller())
         return self.state
 
     def step(self, command: float, outlet: float | None = None) -> Tick:
@@ -137,29 +283,19 @@ class Environment:
             >>> tick.k, tick.command, round(1000 * tick.flows.pump, 2)
             (0, 0.5, 4.18)
         """
-        if self.done:
-            raise ConfigurationError("has ended; call reset() to restart it", key="the run")
-        share = read_number(command)
-        if share is None or not 0 <= share < math.inf:
-            raise ConfigurationError(
-                "must be a finite, non-negative number", key="command", value=command
-            )
-        opening, readings = 1.0, self._roofs.levels[0]
-        cistern, roof = map(float, readings)
+        share, opening = COMMANDS.read(float(command), key="command"), 1.0
         if self._policy is not None:
-            outlook = self._run.forecast.at(self._roofs.tick)
-            # The policy is called in every tick, because it counts the time without rain.
-            opening = self._policy(cistern, roof, outlook.rain, outlook.evapotranspiration)
-            if outlet is not None:
-                number = read_number(outlet)
-                opening = SHARE.read(outlet if number is None else number, key="outlet")
-        elif outlet is not None:
-            raise ConfigurationError(
-                "commands the valve on the low outlet, which this site does not have "
-                "(low_outlet_valve: true)", key="outlet", value=outlet,
-            )
-        self._roofs.follow([share], [opening], 1)
-        return self._roofs.find_tick(readings)
+            # Called in every tick, because it counts the time without rain.
+            rain, evaporated, *_ = self._run.forecast.at(self._roofs.tick)
+            _, cistern, roof, _ = self.state
+            opening = self._policy(cistern, roof, rain, evaporated)
+        if outlet is not None:
+            if self._policy is None:
+                raise ConfigurationError(
+                    "needs a site with a valve (low_outlet_valve: true)", key="outlet", value=outlet
+                )
+            opening = SHARE.read(float(outlet), key="outlet")
+        return self._roofs.act([(share, opening)])[0]
 
     @property
     def state(self) -> SiteState:
@@ -171,9 +307,7 @@ class Environment:
             >>> roof.state.time.isoformat(), round(roof.state.cistern_level, 3)
             ('2021-07-07T02:00:00-05:00', 2.308)
         """
-        time = self._run.start + timedelta(seconds=self._roofs.tick * self.site.tau)
-        cistern, roof = map(float, self._roofs.levels[0])
-        return SiteState(time, cistern, roof, self.site)
+        return self._roofs.states[0]
 
     @property
     def done(self) -> bool:
@@ -184,7 +318,7 @@ class Environment:
             >>> gr.Environment(hours=1).done
             False
         """
-        return self._roofs.tick == self._run.steps
+        return not self._roofs.left
 
     @property
     def forecast(self) -> ForecastSteps:
@@ -197,8 +331,9 @@ class Environment:
             >>> print(f"{1000 * forecast.rain @ lengths:.1f} mm of rain in 3 h")
             3.2 mm of rain in 3 h
         """
-        rain, evaporated = foresee(self._run, self._roofs.tick)
-        return ForecastSteps(np.asarray(rain), np.asarray(evaporated), self._ends)
+        run = self._run
+        own = run.controller.own_forecast(self._own_steps, *run.forecast.at(self._roofs.tick)[:2])
+        return ForecastSteps._make(map(np.asarray, (*own, self._ends)))
 
     @property
     def metrics(self) -> dict[str, float]:

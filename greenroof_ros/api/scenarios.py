@@ -1,35 +1,28 @@
 """Scenarios: fixed runs with a score, its lower bound, and the scores of reference controllers.
 
 ``config/scenarios.yaml`` defines the scenarios. ``config/scenarios.csv`` lists the scores of the
-reference controllers, which ``tools/reference_scores.py`` computes with :func:`evaluate`.
+reference controllers, which ``tools/reference_scores.py`` computes.
 """
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Mapping
-from copy import deepcopy
 from dataclasses import dataclass, field
 from functools import cached_property
-from pathlib import Path
-from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from greenroof_ros.api.simulate import Function, Result, read_site, simulate
-from greenroof_ros.base.errors import ConfigurationError, describe_choices
-from greenroof_ros.base.files import read_lines, read_yaml, shared_directory
-from greenroof_ros.controllers.protocol import Controller
-from greenroof_ros.results.forked_polars import make_frame
+from greenroof_ros.base.errors import ConfigurationError, describe_choices, require_extra
+from greenroof_ros.base.files import read_yaml, shared_directory
 from greenroof_ros.simulation.bound import BLOCK_S, bound_discharge, clairvoyant_bound
 from greenroof_ros.simulation.inputs import INPUTS
 
-if TYPE_CHECKING:
+with require_extra("study"):
     import polars
 
-REFERENCES = "scenarios.csv"
-"""file in ``config/`` with the scores of the scenarios' controllers"""
-_COLUMNS = ("scenario", "controller", "score", "bound", "stress_hours")
-_MAINS = "mains_m3"
+_CONFIG = shared_directory() / "config"
+REFERENCES = _CONFIG / "scenarios.csv"
+"""file with the scores of the scenarios' controllers"""
 # Maximum number of time blocks with a variable of their own when a bound is computed.
 _BLOCKS = 5000
 
@@ -37,8 +30,6 @@ _BLOCKS = 5000
 @dataclass(frozen=True)
 class Scenario:
     """A fixed site, weather, period and forecast, with a score.
-
-    A scenario cannot be changed, so a score means the same to everyone.
 
     Example:
         >>> import greenroof_ros as gr
@@ -55,6 +46,9 @@ class Scenario:
         score: description of the score; lower is better.
         weights: weights of the metrics in the weighted sum that forms the score, by metric.
         controllers: inputs of the reference controllers, by name.
+        site: file of the site, and the values that replace those in the file.
+        weather: file of the weather.
+        run: other inputs of a simulation.
     """
 
     name: str
@@ -63,12 +57,21 @@ class Scenario:
     score: str
     weights: Mapping[str, float] = field(repr=False)
     controllers: Mapping[str, Mapping[str, Any]] = field(repr=False)
-    _inputs: dict[str, Any] = field(repr=False)
+    site: Mapping[str, Any] = field(repr=False)
+    weather: str = field(repr=False)
+    run: Mapping[str, Any] = field(repr=False)
 
     @property
     def inputs(self) -> dict[str, Any]:
-        """Inputs of :func:`.simulate`, apart from the controller; a copy each time."""
-        return deepcopy(self._inputs)
+        """Inputs of :func:`.simulate`, apart from the controller; new ones each time."""
+        changes = {**self.site}
+        inputs = {
+            "site": read_site(_CONFIG / changes.pop("file"), **changes),
+            "weather": str(_CONFIG / "weather" / self.weather), **self.run,
+        }
+        if (_CONFIG / (archive := inputs.get("forecast", ""))).is_file():
+            inputs["forecast"] = str(_CONFIG / archive)
+        return inputs
 
     def evaluate(self, result: Result) -> float:
         """Return the score of a run in this scenario."""
@@ -83,8 +86,7 @@ class Scenario:
         water stress.
         """
         run, metrics = result.run, result.metrics
-        if _MAINS in self.weights:
-            price = self.weights[_MAINS]
+        if price := self.weights.get("mains_m3"):
             (point,) = bound_discharge(run, result.ticks, [price])
             return point.wet_discharge_m3 + price * point.mains_m3
         block_s = max(BLOCK_S, run.steps * run.site.tau / _BLOCKS)
@@ -92,27 +94,10 @@ class Scenario:
         return metrics["mean_deviation_mm"] * total / metrics["total_deviation_m3"]
 
 
-def _read_scenarios() -> dict[str, Scenario]:
-    config = shared_directory() / "config"
-    content = read_yaml(config / "scenarios.yaml")
-    scenarios = {}
-    for name, entry in content["scenarios"].items():
-        site, run, score = {**entry["site"]}, entry["run"], entry["score"]
-        inputs = {
-            "site": read_site(config / site.pop("file"), **site),
-            "weather": str(config / "weather" / entry["weather"]),
-            **run,
-        }
-        if Path(inputs.get("forecast", "")).suffix:
-            inputs["forecast"] = str(config / inputs["forecast"])
-        scenarios[name] = Scenario(
-            name, entry["about"], score["unit"], score["about"], score["weights"],
-            entry["controllers"], inputs,
-        )
-    return scenarios
-
-
-scenarios: Mapping[str, Scenario] = MappingProxyType(_read_scenarios())
+scenarios = {
+    name: Scenario(name=name, **{**entry, **entry["score"]})
+    for name, entry in read_yaml(_CONFIG / "scenarios.yaml")["scenarios"].items()
+}
 """scenarios by name"""
 
 
@@ -122,65 +107,53 @@ class Score:
 
     Attributes:
         scenario: the scenario.
-        name: name of the controller.
-        value: score in the scenario's unit; lower is better.
-        bound: lowest score that is possible with this irrigation; see :meth:`Scenario.bound`.
         result: the run and its results.
     """
 
     scenario: Scenario
-    name: str
-    value: float
-    bound: float
     result: Result
 
-    @cached_property
-    def rows(self) -> list[dict[str, Any]]:
-        """Rows for this controller and the reference controllers, with the best score first."""
-        own = (
-            self.scenario.name, f"yours: {self.name}", self.value, self.bound,
-            self.result.metrics["stress_hours"],
-        )
-        others = [row for row in read_references() if row["scenario"] == self.scenario.name]
-        rows = [*others, dict(zip(_COLUMNS, own, strict=True))]
-        return sorted(rows, key=lambda row: float(row["score"]))
-
     @property
-    def table(self) -> polars.DataFrame:
-        """The rows as a polars data frame: controller, score, bound and hours of water stress.
+    def value(self) -> float:
+        """The score in the scenario's unit; lower is better."""
+        return self.scenario.evaluate(self.result)
 
-        Raises:
-            ConfigurationError: if polars is not installed.
-        """
-        return make_frame(self.rows).drop("scenario")
+    @cached_property
+    def bound(self) -> float:
+        """The lowest score that is possible with this irrigation; see :meth:`Scenario.bound`."""
+        return self.scenario.bound(self.result)
+
+    @cached_property
+    def table(self) -> polars.DataFrame:
+        """Score, bound and hours of stress of all controllers in the scenario, the best first."""
+        own = polars.DataFrame({
+            "controller": f"yours: {self.result.run.controller.name}", "score": self.value,
+            "bound": self.bound, "stress_hours": self.result.metrics["stress_hours"],
+        })
+        others = read_references().filter(scenario=self.scenario.name).drop("scenario")
+        return polars.concat([others, own]).sort("score", maintain_order=True)
 
     def __repr__(self) -> str:
         """Return the score on one line, with the table below it."""
         known = self.scenario
-        lines = [
+        rows = [
+            f"{score:8.2f}{bound:9.2f}{stress:7.0f} h  {name}"
+            for name, score, bound, stress in self.table.rows()
+        ]
+        return "\n".join([
             f"{known.name}: {self.value:.2f} {known.unit}, at best {self.bound:.2f}. The score is "
             f"the {known.score}; lower is better.",
-            f"{'score':>8}{'at best':>9}{'stress':>9}  controller",
-        ]
-        lines += [
-            f"{row['score']:8.2f}{row['bound']:9.2f}{row['stress_hours']:7.0f} h  "
-            f"{row['controller']}"
-            for row in self.rows
-        ]
-        return "\n".join(lines)
+            f"{'score':>8}{'at best':>9}{'stress':>9}  controller", *rows,
+        ])
 
 
-def read_references() -> list[dict[str, Any]]:
+def read_references() -> polars.DataFrame:
     """Return the scores of the reference controllers of all scenarios, one row per controller."""
-    lines = read_lines(shared_directory() / "config" / REFERENCES)
-    return [
-        {name: text if name in _COLUMNS[:2] else float(text) for name, text in row.items()}
-        for row in csv.DictReader(line for line in lines if not line.startswith("#"))
-    ]
+    return polars.read_csv(REFERENCES, comment_prefix="#")
 
 
 def score(
-    controller: str | type | Controller | Function, scenario: str, **parameters: Any
+    controller: str | type | Function, scenario: str, **parameters: Any
 ) -> Score:
     """Return the score of a controller in a scenario, with the bound and other controllers' scores.
 
@@ -205,34 +178,11 @@ def score(
         >>> found.bound <= found.value < gr.score("onoff", "paper").value
         True
     """
-    if not isinstance(scenario, str) or scenario not in scenarios:
+    if str(scenario) not in scenarios:
         raise ConfigurationError(
             describe_choices([*scenarios], str(scenario)), key="scenario", value=scenario
         )
-    for name, value in parameters.items():
-        if name in INPUTS:
-            raise ConfigurationError("is fixed by the scenario", key=name, value=value)
-    return evaluate(scenarios[scenario], controller, parameters)
-
-
-def evaluate(
-    scenario: Scenario, controller: str | type | Controller | Function,
-    inputs: Mapping[str, Any],
-) -> Score:
-    """Simulate a controller in a scenario and return its score.
-
-    Args:
-        scenario: the scenario.
-        controller: the controller.
-        inputs: parameters of the controller, and inputs that replace those of the scenario, by
-            name.
-
-    Raises:
-        ConfigurationError: if an input is invalid.
-        NoBoundError: if the solver cannot find the bound.
-    """
-    result = simulate(controller, **{**scenario.inputs, **inputs})
-    return Score(
-        scenario, result.run.controller.name, scenario.evaluate(result), scenario.bound(result),
-        result,
-    )
+    for name in parameters.keys() & INPUTS:
+        raise ConfigurationError("is fixed by the scenario", key=name, value=parameters[name])
+    known = scenarios[scenario]
+    return Score(known, simulate(controller, **known.inputs, **parameters))

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import os
-import sys
 import warnings
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
 from datetime import datetime, timedelta
 from functools import cached_property
-from numbers import Real
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,43 +17,28 @@ from numpy.typing import NDArray
 from greenroof_ros.base.errors import ConfigurationError, rename_keys, require_extra
 from greenroof_ros.base.files import default_site_file
 from greenroof_ros.base.parameter import Parameter
-from greenroof_ros.base.ranges import Range
 from greenroof_ros.base.times import duration, to_minutes
-from greenroof_ros.controllers.protocol import Controller, set_optional
 from greenroof_ros.controllers.registry import ControllerChoice, choose_class, find_controller
-from greenroof_ros.physics.parameters import plant_parameters
-from greenroof_ros.physics.soil import layer_outflow, percolation
 from greenroof_ros.physics.storm_water import Event
 from greenroof_ros.results.forked_polars import make_frame
 from greenroof_ros.results.metrics import METRICS
-from greenroof_ros.results.trajectory import (
-    COLUMNS,
-    LAYER,
-    TRAJECTORY,
-    Samples,
-    Trajectory,
-    zone_name,
-)
+from greenroof_ros.results.trajectory import COLUMNS, TRAJECTORY, Trajectory, zone_name
 from greenroof_ros.simulation import loop, summary
 from greenroof_ros.simulation.directory import make_run_directory, write_configuration
-from greenroof_ros.simulation.inputs import make_inputs
+from greenroof_ros.simulation.inputs import RunInputs, make_inputs
 from greenroof_ros.simulation.run import Run
 from greenroof_ros.site import file as site_file
-from greenroof_ros.site.horizon import MAX_HORIZON, look_ahead_ends
+from greenroof_ros.site.horizon import MAX_HORIZON
 from greenroof_ros.site.site import Site
 
 if TYPE_CHECKING:
     import altair
     import polars
 
-PathText: TypeAlias = "str | os.PathLike[str]"
 Values = NDArray[np.float64]
 
-_EVERY = Range(0.0, 1e9, "s")
-_NOT_THE_USERS = {__name__.partition(".")[0], "gymnasium"}
 
-
-def read_site(path: PathText | None = None, **changes: Any) -> Site:
+def read_site(path: str | Path | None = None, **changes: Any) -> Site:
     """Read a site file, or the paper's site if no file is given.
 
     Volumes that depend on changed values are recomputed, such as the target volume ``x2_star`` if
@@ -75,38 +58,21 @@ def read_site(path: PathText | None = None, **changes: Any) -> Site:
         >>> round(site.x2_star, 3), site.a2
         (2.752, 68.8)
     """
-    return site_file.read_site(default_site_file() if path is None else Path(path), changes)
+    return site_file.read_site(Path(path or default_site_file()), changes)
 
 
-def build_run(
-    controller: ControllerChoice, inputs: Mapping[str, Any], warned: set[str]
-) -> Run:
-    """Build and check a run from keyword arguments, and issue its notes as warnings.
+def build_run(inputs: RunInputs) -> Run:
+    """Build and check a run, and issue its notes as warnings.
 
-    Args:
-        controller: controller of the run.
-        inputs: keyword arguments of the run.
-        warned: warnings that have already been issued and are not repeated; new warnings are added.
+    A warning names the line that called the caller.
 
     Raises:
         ConfigurationError: if an input is invalid.
     """
-    run = make_inputs(controller, inputs).build()
+    run = inputs.build()
     for note in (*run.notes(), *run.weather_notes()):
-        if note not in warned:
-            warned.add(note)
-            warnings.warn(note, stacklevel=_count_own_calls())
+        warnings.warn(note, stacklevel=3)
     return run
-
-
-def _count_own_calls() -> int:
-    """Return the number of stack frames up to the first outside this package and Gymnasium."""
-    frame, count = sys._getframe(1), 1
-    while frame.f_back is not None and (
-        frame.f_globals.get("__name__", "").partition(".")[0] in _NOT_THE_USERS
-    ):
-        frame, count = frame.f_back, count + 1
-    return count
 
 
 class SiteState(NamedTuple):
@@ -151,13 +117,6 @@ Function = Callable[[SiteState, ForecastSteps], float]
 """A controller: a function that returns the command, as a share of the pumps' maximum flow (1)."""
 
 
-def read_number(value: Any) -> float | None:
-    """Return a real number, or the only real number in an array; None for any other value."""
-    if isinstance(value, np.ndarray) and value.size == 1:
-        value = value.item()
-    return float(value) if isinstance(value, Real) else None
-
-
 class FunctionController:
     """A controller that calls a function; a subclass provides the function."""
 
@@ -166,33 +125,23 @@ class FunctionController:
         "length of the forecast, which is divided into steps of increasing length",
     ),)
     function: ClassVar[Function]
-    forecast_ends: Values
+    forecast_ends: Values = np.empty(0)
+    start: datetime
+    """start of the run, which is set before the run"""
 
     def __init__(self, site: Site, horizon: float) -> None:
-        self._site = site
-        self._tick = -1
-        self.forecast_ends = np.empty(0)
-        self.start: datetime
-        """start of the run, which is set before the run"""
+        self._site, self._tick = site, -1
 
-    def command(
-        self,
-        cistern_level: float,
-        roof_level: float,
-        precipitation: Sequence[float],
-        evapotranspiration: Sequence[float],
-    ) -> float:
-        """Return the result of the function, as a float if it is a number."""
+    def command(self, cistern_level: float, roof_level: float, *forecast: Any) -> float:
+        """Return the result of the function, as a float if it is a number or an array of one."""
         self._tick += 1
         time = self.start + timedelta(seconds=self._tick * self._site.tau)
-        value = type(self).function(
-            SiteState(time, cistern_level, roof_level, self._site),
-            ForecastSteps(
-                np.asarray(precipitation), np.asarray(evapotranspiration), self.forecast_ends
-            ),
-        )
-        number = read_number(value)
-        return value if number is None else number  # anything else is rejected, and named
+        state = SiteState(time, cistern_level, roof_level, self._site)
+        steps = ForecastSteps._make(map(np.asarray, (*forecast, self.forecast_ends)))
+        command: Any = type(self).function(state, steps)
+        with suppress(TypeError, ValueError):  # anything else is rejected, and named
+            command = np.asarray(command, np.float64).item()
+        return command  # type: ignore[no-any-return]
 
     def skip(self) -> None:
         """Count a tick in which the pump must not run."""
@@ -202,33 +151,30 @@ class FunctionController:
         """Return None, since the controller has no solver."""
 
 
-def choose_controller(controller: Any) -> tuple[ControllerChoice, Controller | None]:
-    """Return the choice of controller, and the controller itself if it is an instance.
+def choose_controller(controller: Any) -> ControllerChoice:
+    """Return the choice of a controller.
 
     Args:
-        controller: a name, ``package.module:Class``, a class, an instance, or a function of a
-            :class:`SiteState` and :class:`ForecastSteps`.
+        controller: a name, ``package.module:Class``, a class, or a function of a :class:`SiteState`
+            and :class:`ForecastSteps`.
 
     Raises:
         ConfigurationError: if the controller is not of any of these kinds.
     """
     if isinstance(controller, str):
-        return find_controller(controller), None
+        return find_controller(controller)
     if isinstance(controller, type):
-        return choose_class(controller), None
-    if hasattr(controller, "command"):
-        return choose_class(type(controller)), controller
+        return choose_class(controller)
     if not callable(controller):
         raise ConfigurationError(
-            "must be a name, a class, an instance, or a function of (state, forecast)",
-            key="controller", value=controller,
+            "must be a name, a class, or a function of (state, forecast)", key="controller",
+            value=controller,
         )
     name = getattr(controller, "__name__", type(controller).__name__).strip("<>")
-    members = {
+    return choose_class(type(name, (FunctionController,), {
         "function": staticmethod(controller), "__module__": controller.__module__,
         "__wrapped__": controller,  # so that errors name its place
-    }
-    return choose_class(type(name, (FunctionController,), members)), None
+    }))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -357,7 +303,7 @@ class Result:
         """
         return Comparison({self.run.controller.name: self}).plot()
 
-    def save(self, directory: PathText) -> Path:
+    def save(self, directory: str | Path) -> Path:
         """Write a run directory as ``greenroof simulate --trajectory`` does, and return its path.
 
         ``greenroof report DIRECTORY`` reads it.
@@ -386,19 +332,18 @@ class Result:
 
 
 def simulate(
-    controller: str | type | Controller | Function = "onoff", **inputs: Any
+    controller: str | type | Function = "onoff", **inputs: Any
 ) -> Result:
     """Simulate a run without ROS, with the same results as ``greenroof simulate``.
 
     Args:
         controller: ``"mpc"``, ``"onoff"``, ``"anticipating_onoff"``, ``"lookahead"`` or
             ``"package.module:Class"``; a class as described under "Your controller" in the
-            documentation; an instance, which keeps what it has learned; or a function of (state,
-            forecast) that returns the command, the share of the pumps' maximum flow. ``state`` has
-            the attributes time, cistern_level and roof_level (m), cistern and roof (m3), and the
-            site. ``forecast`` has the attributes rain (m/s), evapotranspiration (m3/s) and the ends
-            of its steps (s); for a function, the parameter ``horizon`` (h, 24 by default) is the
-            length of the forecast.
+            documentation; or a function of (state, forecast) that returns the command, the share of
+            the pumps' maximum flow. ``state`` has the attributes time, cistern_level and roof_level
+            (m), cistern and roof (m3), and the site. ``forecast`` has the attributes rain (m/s),
+            evapotranspiration (m3/s) and the ends of its steps (s); for a function, the parameter
+            ``horizon`` (h, 24 by default) is the length of the forecast.
         inputs: the inputs below and the controller's parameters, by name; None for the default.
 
             - ``site``: a site file, or a site from ``gr.read_site``; by default the paper's site.
@@ -449,40 +394,9 @@ def simulate(
         >>> gr.simulate(dry, hours=2).metrics["pump_starts"]
         2
     """
-    return _simulate(controller, inputs, warned=set())
-
-
-def _simulate(
-    controller: str | type | Controller | Function, keywords: Mapping[str, Any], warned: set[str]
-) -> Result:
-    """Simulate a run; ``warned`` has the same meaning as in :func:`.build_run`."""
-    inputs = {**keywords}
-    every_s = _EVERY.read(inputs.pop("trajectory_every", None) or 0.0, key="trajectory_every")
-    choice, instance = choose_controller(controller)
-    if instance is None:
-        run = build_run(choice, inputs, warned)
-        instance = run.make_controller()
-    else:
-        names = choice.parameters.keys() - {parameter.name for parameter in choice.of_valve}
-        if inputs.keys() & names:
-            raise ConfigurationError(
-                f"cannot be set for an instance of {choice.name}, which has its own parameters",
-                key=", ".join(sorted(inputs.keys() & names)),
-            )
-        own = {name: getattr(instance, name) for name in names if hasattr(instance, name)}
-        if "horizon" in names - own.keys():
-            raise ConfigurationError(
-                "must have its parameter horizon as an attribute, or else pass the class and "
-                "horizon=", key=f"an instance of {choice.name}",
-            )
-        run = build_run(choice, {**inputs, **own}, warned)
-        # Not the defaults: nothing is known about its other parameters.
-        unknown = names - own.keys()
-        run = replace(run, parameters={
-            name: value for name, value in run.parameters.items() if name not in unknown
-        })
-        ends = look_ahead_ends(run.site, run.parameters.get("horizon", 0.0))
-        set_optional(instance, forecast_ends=ends)
+    every_s = inputs.pop("trajectory_every", None) or 0.0
+    run = build_run(make_inputs(choose_controller(controller), inputs))
+    instance = run.make_controller()
     if isinstance(instance, FunctionController):
         instance.start = run.start
     made, ticks = loop.simulate(run, instance, run.count_ticks_between(every_s))
@@ -513,16 +427,8 @@ class Comparison:
             >>> table["controller", "pump_starts"].rows()
             [('on/off', 1), ('MPC', 1)]
         """
-        lengths = {
-            name: each.run.steps * each.run.site.tau for name, each in self.results.items()
-        }
-        first, length = next(iter(lengths.items()))
-        for name, seconds in lengths.items():
-            if seconds != length:
-                raise ConfigurationError(
-                    f"lasts {duration(seconds)}, but {first} lasts {duration(length)}: all runs in "
-                    "a table must have the same length", key=name,
-                )
+        if len({each.run.steps * each.run.site.tau for each in self.results.values()}) > 1:
+            raise ConfigurationError("must have the same length in a table", key="all runs")
         return make_frame([
             {"controller": name, **result.metrics} for name, result in self.results.items()
         ])
@@ -549,7 +455,7 @@ class Comparison:
 
 
 def compare(
-    controllers: Mapping[str, str | type | Controller | Function | Result], **inputs: Any
+    controllers: Mapping[str, str | type | Function | Result], **inputs: Any
 ) -> Comparison:
     """Simulate several controllers with the same inputs.
 
@@ -562,7 +468,7 @@ def compare(
         The results, with a common table and a common chart.
 
     Raises:
-        ConfigurationError: if an input is invalid, or if polars is not installed.
+        ConfigurationError: if an input is invalid.
 
     Example:
         >>> import greenroof_ros as gr
@@ -571,50 +477,25 @@ def compare(
         >>> compared.table["controller", "pump_starts"].rows()
         [('on/off', 2), ('fills to 90 %', 2)]
     """
-    if not (isinstance(controllers, Mapping) and controllers):
-        raise ConfigurationError(
-            'must be a dictionary of controllers by name, such as {"on/off": "onoff"}',
-            key="controllers", value=controllers,
-        )
-    with require_extra("study"):  # checked before the work, since the table needs it
-        import polars  # noqa: F401
-    warned: set[str] = set()
     return Comparison({
-        name: controller if isinstance(controller, Result)
-        else _simulate(controller, inputs, warned)
-        for name, controller in controllers.items()
+        name: each if isinstance(each, Result) else simulate(each, **inputs)
+        for name, each in controllers.items()
     })
 
 
 def make_table(site: Site, ticks: Trajectory) -> polars.DataFrame:
     """Return a trajectory as a table with the columns of :attr:`Result.trajectory`."""
     frame = ticks.to_frame()
-    with require_extra("study"):
-        import polars
     # Not divided by polars, which multiplies by the reciprocal and gets other bits than the plant.
-    computed = {"cistern_level_m": ticks.cistern / site.a1, "roof_level_m": ticks.roof / site.a2}
-    if site.drainage_storage is not None:
-        computed[LAYER.name] = _find_layer(site, ticks) if ticks.layer is None else ticks.layer
+    levels = {"cistern_level_m": ticks.cistern / site.a1, "roof_level_m": ticks.roof / site.a2}
     if site.time_zone is not None:
-        frame = frame.with_columns(polars.col("time").dt.convert_time_zone(site.time_zone))
-    frame = frame.with_columns(polars.Series(name, computed[name]) for name in computed)
+        frame = frame.with_columns(frame["time"].dt.convert_time_zone(site.time_zone))
+    frame = frame.with_columns(**levels)
     order = (column.name for column in COLUMNS if column.name in frame.columns)
     return frame.select("time", "time_s", *order)
 
 
-def _find_layer(site: Site, ticks: Trajectory) -> Samples:
-    """Return the water in the drainage layer (m3), which is not recorded, from percolation."""
-    p, layer, layers = plant_parameters(site), site.initial_layer, [site.initial_layer]
-    columns = ticks.roof[:-1], ticks.precipitation[:-1], ticks.pump_flow[:-1], np.diff(ticks.time)
-    for x2, rain, pump, seconds in zip(*map(np.ndarray.tolist, columns), strict=True):
-        percolated = percolation(p, x2, rain * p.a2 + pump, seconds)
-        drained = layer_outflow(p, layer, percolated, seconds)
-        layer = max(0.0, layer + seconds * (percolated - drained))
-        layers.append(layer)
-    return np.array(layers)
-
-
-def read_bag(path: PathText, site: PathText | Site | None = None) -> polars.DataFrame:
+def read_bag(path: str | Path, site: str | Path | Site | None = None) -> polars.DataFrame:
     """Read the trajectory from a bag that was recorded by a run of this package or at a real site.
 
     Args:
@@ -640,9 +521,8 @@ def read_bag(path: PathText, site: PathText | Site | None = None) -> polars.Data
     """
     with require_extra("study"):
         from greenroof_ros.analysis.report.runs import read_run
-    run = read_run(Path(path), Path(site) if isinstance(site, (str, os.PathLike)) else site)
-    trajectory = run.trajectory()
-    if trajectory is None:
+    run = read_run(Path(path), Path(site) if isinstance(site, str) else site)
+    if (trajectory := run.trajectory()) is None:
         raise ConfigurationError(
             "contains only results: the run wrote no trajectory", file=Path(path)
         )

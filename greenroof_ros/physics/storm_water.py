@@ -99,11 +99,11 @@ def time_without_rain(before: float, rain: float, tau: float) -> float:
     return before + tau
 
 
-def is_wet(without_rain: float, tau: float, wet_after: float) -> bool:
-    """Return whether the weather is wet in a tick.
+def is_wet(without_rain: Any, tau: float, wet_after: float) -> Any:
+    """Return whether the weather is wet in a tick, or in each tick.
 
     Args:
-        without_rain: time without rain until the end of the tick (s).
+        without_rain: time without rain until the end of the tick (s), or an array of these times.
         tau: duration of the tick (s).
         wet_after: time after rain that counts as wet weather (s).
     """

@@ -81,6 +81,7 @@ def recorded_columns(site: Site) -> list[Column]:
 # Name of every column of a trajectory's file, by its attribute.
 _NAMES = {
     "time": "time_s", **{column.attribute: column.name for column in COLUMNS if column.attribute},
+    "layer": LAYER.name,
 }
 _OPTIONAL = {column.name for column in COLUMNS if column.needs}
 
@@ -105,7 +106,7 @@ class Trajectory:
         outlet: command to the outlet valve, as a share of its full opening (1); None without a
             valve.
         low_outlet: the part of the outflow through the low outlet (m3/s); None without a valve.
-        layer: water in the drainage layer (m3), 0 without one; None if it is from a file.
+        layer: water in the drainage layer (m3); None without one, or if it was not recorded.
     """
 
     start: datetime

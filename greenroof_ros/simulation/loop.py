@@ -21,7 +21,7 @@ from greenroof_ros.controllers.protocol import Controller, set_optional
 from greenroof_ros.physics.parameters import Flows
 from greenroof_ros.physics.virtual_site import VirtualSite
 from greenroof_ros.results.metrics import Metrics
-from greenroof_ros.results.trajectory import COLUMNS, Trajectory, recorded_columns
+from greenroof_ros.results.trajectory import COLUMNS, Trajectory, columns_of
 from greenroof_ros.simulation import summary
 from greenroof_ros.simulation.run import Run
 from greenroof_ros.simulation.season import KEPT, Case, simulate_season
@@ -152,7 +152,7 @@ def record(
 
 def _make_trajectory(run: Run, rows: NDArray[np.float64], every: int) -> Trajectory:
     """Make a trajectory from the values :data:`.KEPT` of every n-th tick, and of the last one."""
-    own = {"layer", *(column.attribute for column in recorded_columns(run.site))}
+    own = {column.attribute or column.tick for column in columns_of(run.site)}
     ticks = np.minimum(every * np.arange(len(rows)), run.steps)
     return Trajectory(start=run.start, time=run.site.tau * ticks, **{
         name: values for name, values in zip(KEPT, rows.T, strict=True) if name in own

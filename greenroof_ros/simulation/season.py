@@ -296,6 +296,7 @@ def simulate_season(
     if any((each.site.tau, each.run.steps) != (cases[0].site.tau, steps) for each in cases):
         raise ConfigurationError("all sites in a batch must have the same tau and number of steps")
     note_if_slow(steps * count)
+    compiles = pays_to_compile(steps * count)
     together: dict[Any, list[int]] = {}
     # Those of a group are adjacent, so that few parts have the group's hydrograph.
     for row in sorted(range(count), key=lambda row: cases[row].group):
@@ -310,7 +311,7 @@ def simulate_season(
         # A thread of its own would take longer to wake than a site needs from plan to plan.
         spread: Any = pool.map if threads > 1 else map
         for rows in together.values():
-            season = _Season([cases[row] for row in rows], every, intervals, count)
+            season = Season([cases[row] for row in rows], every, count, compiles)
             running: Iterable[None] = ()
             for ticks, begin, end, *forecasts in season.ticks():
                 list(running)  # ticks are read while those before them are simulated
@@ -325,26 +326,35 @@ def simulate_season(
     return [results[row] for row in range(count)], hydrograph
 
 
-class _Season:
+class Season:
     """Sites with the same weather, clock and times of plans, as :func:`run_ticks` takes them.
 
     Attributes:
+        sites: the sites.
+        errors: error of the roof's sensor in every tick (m), see :class:`Ticks`.
         parts: adjacent sites, which a thread simulates one after the other; each with its groups
             and their hydrographs.
     """
 
-    def __init__(self, cases: Sequence[Case], every: int, intervals: int, total: int) -> None:
+    def __init__(self, cases: Sequence[Case], every: int, total: int, compiles: bool) -> None:
+        """Begin with tick 0.
+
+        Args:
+            cases: the sites.
+            every: interval between the ticks that are kept (ticks); 0 to keep none.
+            total: number of all sites; the events of a single site are recorded.
+            compiles: whether to compile the ticks.
+        """
         self._cases, self._run, self._site = cases, cases[0].run, cases[0].site
         run, site, count = self._run, self._site, len(cases)
         self._every = max(1, every)
-        compiles = pays_to_compile(run.steps * total)
         # Not in the threads, each of which would compile them.
         plans = cases[0].parameters.get("outlet") == PLAN
         functions: Any = find_wet, run_planned if plans else run_ticks
         self._find_wet, self._run_ticks = map(compiled, functions) if compiles else functions
         # Plain Python is faster with lists.
         self._as_taken: Callable[[Any], Any] = lambda array: array if compiles else array.tolist()
-        self._errors = read_errors(run.sensor_and_pump, run.steps + 1)
+        self.errors = read_errors(run.sensor_and_pump, run.steps + 1)
         self._forecast: Any = None
         if plans:
             weather = run.weather
@@ -374,7 +384,8 @@ class _Season:
         groups = np.array([case.group for case in cases])
         events = s.count_events(plants[0], run.steps) if total == 1 else 0
         kept = -(-run.steps // every) + 1 if every else 0
-        self._sites = Sites._make((
+        intervals = -(-run.steps // int(plants[0].interval_ticks))
+        self.sites = Sites._make((
             *(records(each) if compiles else each for each in (plants, controls)),
             np.zeros(count, np.intp), np.zeros(count, np.intp), options, options[:, 0].copy(),
             *map(self._as_taken, (
@@ -388,7 +399,7 @@ class _Season:
         self.parts: list[tuple[slice, NDArray[np.intp], Any]] = []
         bounds = np.unique(np.linspace(0, count, _PARTS + 1).astype(int)).tolist()
         for rows in starmap(slice, pairwise(bounds)):
-            own, self._sites.groups[rows] = np.unique(groups[rows], return_inverse=True)
+            own, self.sites.groups[rows] = np.unique(groups[rows], return_inverse=True)
             self.parts.append((rows, own, self._as_taken(np.zeros((len(own), 2, intervals)))))
 
     def ticks(self) -> Iterator[tuple[Any, ...]]:
@@ -406,7 +417,7 @@ class _Season:
             new_day = np.isin(np.arange(first, last), new_days)
             values = rain, evaporated / self._bed, frost, np.asarray(wet), quiet, new_day
             block = Ticks._make((first, *map(self._as_taken, (
-                *(each[np.newaxis] for each in values), self._errors[first:last],
+                *(each[np.newaxis] for each in values), self.errors[first:last],
             ))))
             if self._forecast is None:
                 yield block, first, last
@@ -433,13 +444,13 @@ class _Season:
         """Simulate a part of the sites in some ticks, with their plans if there are forecasts."""
         rows, _, hydrograph = part
         self._run_ticks(
-            Sites(*(each[rows] for each in self._sites)), ticks, begin, end, hydrograph,
+            Sites(*(each[rows] for each in self.sites)), ticks, begin, end, hydrograph,
             self._every, self._run.steps, *forecasts,
         )
 
     def results(self) -> Iterator[tuple[Results, Values]]:
         """Yield the results of each site after the last tick, and its kept ticks."""
-        sites = self._sites
+        sites = self.sites
         for case, *taken, events, kept in zip(
             self._cases, sites.state, sites.sums, sites.events, sites.kept, strict=True
         ):

@@ -85,8 +85,9 @@ def as_lines(summary: Mapping[str, Any]) -> list[str]:
     )
     contents = dict(summary["quantities"])
     missing = {name: about["missing"] for name, about in contents.items() if about["missing"]}
+    days = round(summary["hours"] / 24, 3)
     lines = [
-        f"rain {rain['total']:.4g} mm in {round(summary['hours'] / 24, 3):g} days from {summary['from']} "
+        f"rain {rain['total']:.4g} mm in {days:g} days from {summary['from']} "
         f"({parts}); {rain['wet_hours']} wet hours; wettest hour {rain['wettest_hour']:.3g} mm, "
         f"{rain['wettest_hour_at']}; wettest day {rain['wettest_day']:.3g} mm, "
         f"{rain['wettest_day_at']}",

@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-import copy
 import csv
-import pickle
 from pathlib import Path
 
 import numpy as np
 import pytest
 from places import CHECKOUT
-from reference_scores import compute, delay_by_a_week
+from reference_scores import compute
 from refusals import refusal
 
 import greenroof_ros as gr
 from greenroof_ros.api.scenarios import read_references
-from greenroof_ros.forecast.issue import read_archive
 from greenroof_ros.simulation.bound import bound_discharge
 from greenroof_ros.simulation.loop import simulate
 
@@ -48,15 +45,12 @@ class Shut:
 
 
 def reference(scenario: str, controller: str) -> dict[str, float]:
-    (row,) = (
-        row for row in read_references()
-        if (row["scenario"], row["controller"]) == (scenario, controller)
-    )
-    return row
+    own = read_references().filter(scenario=scenario, controller=controller)
+    return own.row(0, named=True)
 
 
 def test_the_table_has_each_controller_of_each_scenario_and_none_is_below_its_bound():
-    rows = read_references()
+    rows = read_references().rows(named=True)
     expected = [
         (name, controller)
         for name, known in gr.scenarios.items() for controller in known.controllers
@@ -73,20 +67,13 @@ def test_the_table_has_each_controller_of_each_scenario_and_none_is_below_its_bo
         assert len(placebos) == 1 and placebos[0] >= min(scores.values())
 
 
-def test_nothing_in_a_scenario_can_be_changed():
-    """Neither by hand nor in a copy that other processes get; a simulation takes the inputs."""
+def test_the_inputs_of_a_scenario_are_new_each_time():
     paper = gr.scenarios["paper"]
-    with pytest.raises(TypeError):
-        gr.scenarios["paper"] = 1
     with pytest.raises(AttributeError):
         paper.inputs = {}
     paper.inputs["hours"] = 1
-    with pytest.raises(AttributeError):
-        paper.inputs["site"].a2 = 1.0
-    for copied in (copy.deepcopy(paper), pickle.loads(pickle.dumps(paper))):
-        assert copied == paper and type(copied.inputs) is type(paper.inputs)
-    assert gr.simulate("onoff", **{**paper.inputs, "hours": 1}).run.steps == 3600
     assert paper.inputs["hours"] == 12
+    assert gr.simulate("onoff", **{**paper.inputs, "hours": 1}).run.steps == 3600
 
 
 @pytest.mark.parametrize(("scenario", "controller"), [
@@ -139,14 +126,13 @@ def wet_ticks(rain, tau, wet_after):
 
 @pytest.mark.parametrize("scenario", SHORT)
 def test_own_controllers_are_scored_and_stay_above_the_bound(scenario):
-    """A function, a class, an instance: the score follows from the trajectory, added up here."""
+    """A function, a class: the score follows from the trajectory, added up here."""
     known = gr.scenarios[scenario]
     found = [gr.score(dry, scenario), gr.score("onoff", scenario)]
     if "wet_discharge_m3" in known.weights:
-        found += [gr.score(Shut, scenario), gr.score(Shut(known.inputs["site"]), scenario)]
-        assert found[2].value == found[3].value == pytest.approx(
-            reference(scenario, "valve closed")["score"], rel=1e-5
-        )
+        found.append(gr.score(Shut, scenario))
+        closed = reference(scenario, "valve closed")["score"]
+        assert found[2].value == pytest.approx(closed, rel=1e-5)
     assert found[0].value == found[1].value  # the suction level does not matter here
     if known.unit == "m3":  # the whole frontier of a run of its own
         run = found[1].result.run
@@ -164,15 +150,14 @@ def test_own_controllers_are_scored_and_stay_above_the_bound(scenario):
         assert one.value == pytest.approx(own, rel=1e-6)
 
 
-def test_a_printed_score_says_it_in_its_first_line_and_compares(tmp_path):
+def test_a_printed_score_says_it_in_its_first_line_and_compares():
     found = gr.score(dry, "storm-minutes", outlet="plan")
     first, _, *rows = repr(found).splitlines()
     assert first.startswith(f"storm-minutes: {found.value:.2f} m3, at best {found.bound:.2f}.")
     names = [row.split("h  ", 1)[1] for row in rows]
     assert sorted(names) == sorted([
-        f"yours: {found.name}", *gr.scenarios["storm-minutes"].controllers
+        "yours: dry", *gr.scenarios["storm-minutes"].controllers
     ])
-    assert "dry" in found.name
     scores = found.table["score"].to_list()
     assert scores == sorted(scores)
     assert found.table.columns == ["controller", "score", "bound", "stress_hours"]
@@ -193,18 +178,6 @@ def test_what_the_scenario_fixes_cannot_be_given():
     for name, value in (("hours", 1), ("site", "x.yaml"), ("forecast", "perfect")):
         with pytest.raises(Exception, match=f"{name} = .*: is fixed by the scenario"):
             gr.score("onoff", "paper", **{name: value})
-
-
-def test_the_forecasts_of_a_week_before_are_the_same_a_week_later(tmp_path):
-    archive = Path(gr.scenarios["season-forecasts"].inputs["forecast"])
-    late = tmp_path / "late.csv"
-    delay_by_a_week(archive, late)
-    site = gr.scenarios["season-forecasts"].inputs["site"]
-    ours, theirs = (read_archive(file, site) for file in (archive, late))
-    assert len(ours) == len(theirs) > 700
-    for issue, later in zip(ours[::50], theirs[::50], strict=True):
-        assert (later.issued - issue.issued).days == 7
-        assert np.array_equal(issue.rain, later.rain)
 
 
 def test_all_data_are_in_the_package_and_name_their_licence():

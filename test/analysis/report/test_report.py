@@ -93,7 +93,8 @@ def test_a_study_shows_what_it_asks(tmp_path: Path) -> None:
     asked = tmp_path / "study" / "configuration" / "study.json"
     asked.write_text('{"show": ["near_target_hours"]}')
     report = report_of(tmp_path / "study")
-    assert [name for name, *_ in make_table(report, report.show).texts()] == ["worse", "closed", "drain"]
+    names = [name for name, *_ in make_table(report, report.show).texts()]
+    assert names == ["worse", "closed", "drain"]
     asked.write_text('{"show": ["nothing"]}')
     refusal(report_of, tmp_path / "study", match="show = 'nothing'")
 
