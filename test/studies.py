@@ -51,9 +51,9 @@ def begun(directory: Path, *options: str, **variables: str) -> subprocess.Popen[
     )
 
 
-def cases_of(file: Path, weather: Path | None = None) -> list[Case]:
+def cases_of(file: Path) -> list[Case]:
     """Return the runs of a grid."""
-    return read_grid(file, weather).cases
+    return read_grid(file).cases
 
 
 def write_inputs(files: Mapping[str, bytes], directory: Path) -> None:

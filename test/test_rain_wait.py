@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from paper import PAPER_SITE, paper_run
 
@@ -59,6 +61,10 @@ def test_ends_are_set_for_a_class_that_takes_them() -> None:
         def __init__(self, site: Site, command_on: float) -> None:
             super().__init__(site, 0.0, command_on)
 
-    own = NextTicks(PAPER_SITE, 1.0)
-    gr.simulate(own, hours=0.01)
-    assert own.forecast_ends.tolist() == [*range(11)]
+        def command(self, *inputs: Any) -> float:
+            ends.append(self.forecast_ends.tolist())
+            return super().command(*inputs)
+
+    ends = list[list[float]]()
+    gr.simulate(NextTicks, hours=0.01, command_on=1.0)
+    assert ends[0] == [*range(11)]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -59,29 +58,6 @@ class Panel(NamedTuple):
         return sized
 
 
-class _Picture:
-    """A chart that a notebook shows as a picture, without scripts from the internet.
-
-    If a renderer of Altair other than the default is enabled, it shows the chart instead.
-    """
-
-    def _repr_mimebundle_(self, *given: Any, **further: Any) -> Any:
-        if alt.renderers.active != "default":
-            return super()._repr_mimebundle_(*given, **further)  # type: ignore[misc]
-        picture = vl_convert.vegalite_to_png(self.to_dict(), VEGA_LITE, scale=2)  # type: ignore[attr-defined]
-        width = int.from_bytes(picture[16:20], "big") // 2  # on the screen
-        kind = "image/png"
-        return {kind: base64.b64encode(picture).decode()}, {kind: {"width": width}}
-
-
-class PictureColumn(_Picture, alt.VConcatChart):
-    """Charts arranged in a column."""
-
-
-class PictureGrid(_Picture, alt.ConcatChart):
-    """Charts arranged in rows."""
-
-
 @dataclass(frozen=True)
 class Figure:
     """A figure: its panels and their data.
@@ -109,7 +85,7 @@ class Figure:
         return whole
 
     def _concatenate(self) -> alt.ConcatChart:
-        whole = PictureGrid(
+        whole = alt.ConcatChart(
             concat=[panel.sized() for panel in self.panels], columns=self.columns, title=self.title
         ).resolve_scale(color="independent", shape="independent", strokeDash="independent")
         configured: alt.ConcatChart = whole.configure(**CONFIG)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from datetime import datetime
@@ -43,21 +43,20 @@ class Grid(NamedTuple):
     """metrics that the study asks for"""
 
 
-def read_grid(path: Path, weather: Path | None = None) -> Grid:
+def read_grid(path: Path) -> Grid:
     """Read a grid such as ``config/studies/paper.yaml``, and check every run in it.
 
     Args:
-        path: path of the grid.
-        weather: directory to search for weather files that are not next to the grid.
+        path: path of the grid. The files that it names are next to it, or in the package.
 
     Raises:
         ConfigurationError: if the grid, or a file that it names, is invalid; this is checked before
             the first run.
     """
-    reader = _Reader(path, weather)
+    reader = _Reader(path)
     cases = [*{case.identity: case for case in reader.cases()}.values()]
     reader.files.contents["grid.yaml"] = path.read_bytes()
-    return Grid(cases, reader.files, reader.shown(cases))
+    return Grid(cases, reader.files, reader.shown())
 
 
 class _Reader:
@@ -67,12 +66,10 @@ class _Reader:
     number of runs.
     """
 
-    def __init__(self, path: Path, weather: Path | None) -> None:
+    def __init__(self, path: Path) -> None:
         config = shared_directory() / "config"
         # This order makes a copy of one of the package's grids run unchanged.
-        self._places = [
-            path.parent, *([] if weather is None else [weather]), config, config / "weather",
-        ]
+        self._places = [path.parent, config, config / "weather"]
         self._path, content, self.files = path, read_yaml(path), Files()
         known = *_NEEDED, *_USUAL, "bound_block"
         for key in content:
@@ -86,16 +83,14 @@ class _Reader:
             {**_USUAL, **content}, {**dict.fromkeys(_USUAL, 1), **content.lines}
         )
 
-    def shown(self, cases: Sequence[Case]) -> list[str]:
-        """Return the metrics under ``show:``; by default, those that the cases are about."""
+    def shown(self) -> list[str]:
+        """Return the metrics under ``show:``."""
         known, names = [metric.name for metric in METRICS], self._list(self._content, "show")
-        if not names and any("outlet" in case.inputs.parameters for case in cases):
-            return ["wet_discharge_m3", "mains_m3"]
         for name in names:
             if name not in known:
                 hint = suggest_names(str(name), known)
                 raise self._refuse(self._content, "show", f"{name} is no metric; {hint}")
-        return names or ["total_deviation_m3"]
+        return names
 
     def cases(self) -> Iterator[Case]:
         sensors, settings = [*self._expand("sensor_and_pump")], [*self._settings()]
@@ -105,13 +100,14 @@ class _Reader:
                 block = self._number(self._content, "bound_block")
             for window, usual in self._windows():
                 for state, errors, setting in itertools.product(states, sensors, settings):
-                    for forecast in setting.forecasts or usual:
-                        parts = window, forecast, state, errors, setting.parameters
+                    controller, parameters, forecasts = setting
+                    for forecast in forecasts or usual:
+                        parts = window, forecast, state, errors, parameters
                         given = {key: value for part in parts for key, value in part.items()}
                         lines = {**self._content.lines}
                         lines |= {key: line for each in parts for key, line in each.lines.items()}
                         with self._at(lines, "start"):
-                            inputs = replace(make_inputs(setting.controller, given), site=site)
+                            inputs = replace(make_inputs(controller, given), site=site)
                             yield self.files.make_case(inputs, name, block)
 
     def _sites(self) -> Iterator[tuple[Site, str]]:
@@ -166,8 +162,11 @@ class _Reader:
                     del given[level]
             yield YamlMapping(given, lines)
 
-    def _settings(self) -> Iterator[_Setting]:
-        """Yield every controller with every combination of its parameters."""
+    def _settings(self) -> Iterator[tuple[ControllerChoice, YamlMapping, list[YamlMapping]]]:
+        """Yield every controller, every combination of its parameters, and its own forecasts.
+
+        Without forecasts of its own, it receives those of the grid.
+        """
         section = self._content["controllers"]
         if not isinstance(section, YamlMapping):
             raise self._refuse(
@@ -182,7 +181,7 @@ class _Reader:
             for block in blocks:
                 forecasts = [*self._forecasts(block)] if "forecast" in block else []
                 block.pop("forecast", None)
-                yield _Setting(controller, block, forecasts)
+                yield controller, block, forecasts
 
     def _find(self, mapping: YamlMapping, key: str, name: str | None = None) -> list[Path]:
         """Return the files that match a name or pattern, from the first directory with such files.
@@ -262,12 +261,3 @@ class _Reader:
             line = lines.get(error.key or "", lines[otherwise])
             what = f"{prefix}{error.wrong}" if prefix else str(error)
             raise ConfigurationError(what, file=self._path, line=line) from error
-
-
-class _Setting(NamedTuple):
-    """A controller with its parameters, and the forecasts that it receives."""
-
-    controller: ControllerChoice
-    parameters: YamlMapping
-    forecasts: list[YamlMapping]
-    """forecasts instead of the grid's, for instance if it uses none; empty for the grid's"""

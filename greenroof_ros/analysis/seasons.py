@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from dataclasses import replace
 from datetime import date, datetime, timedelta, timezone
@@ -59,12 +58,9 @@ def read_window(text: str | None, site: Site) -> Window:
     """
     if text is None:
         text = "11-01/04-30" if (site.latitude or 0.0) < 0 else "05-01/10-31"
-    match = re.fullmatch(r"(\d\d-\d\d)/(\d\d-\d\d)", text) if isinstance(text, str) else None
     try:
-        if match is None:
-            raise ValueError
-        return Window(*(date.fromisoformat(f"{_YEAR}-{day}") for day in match.groups()))
-    except ValueError:
+        return Window(*(date.fromisoformat(f"{_YEAR}-{day}") for day in text.split("/")))
+    except (ValueError, TypeError, AttributeError):
         raise ConfigurationError(
             "must be the first and the last day of the season, with the month before the day, "
             "such as 05-01/10-31 (29 February is not allowed)", key="season", value=text,

@@ -212,14 +212,14 @@ def study(
         )
         run_study(store, executor=executor, jobs=jobs)
         rows = store.write_table()
-    told = [*rows[0]][1 : [*rows[0]].index("status")]
-    metrics = [metric.name for metric in METRICS if any(metric.name in row for row in rows)]
-    bounds = [name for name in dict.fromkeys(key for row in rows for key in row) if "bound" in name]
-    differing = find_differing_keys([{key: row[key] for key in told} for row in rows])
-    columns = [*differing, *metrics, *bounds, *["error"] * any(row["error"] for row in rows)]
-    return make_frame([
-        {key.removeprefix("parameter:"): row.get(key) for key in columns} for row in rows
-    ], infer_schema_length=None)
+    names, about = dict.fromkeys(key for row in rows for key in row), [*rows[0]].index("status")
+    differing = find_differing_keys([dict([*row.items()][1:about]) for row in rows])
+    metrics = {metric.name for metric in METRICS}
+    results = [name for name in names if name in metrics or "bound" in name]
+    failed = ["error"] * any(row["error"] for row in rows)
+    return make_frame(rows, infer_schema_length=None).select(differing + results + failed).rename(
+        lambda name: name.removeprefix("parameter:")
+    )
 
 
 def _list_cases(cases: Any) -> Iterable[Mapping[str, Any]]:

@@ -27,12 +27,17 @@ from __future__ import annotations
 from pathlib import Path
 
 from greenroof_ros.analysis.calibration.result import calibrate, describe_scores
-from greenroof_ros.base.command_line import Parser, add_site, command, print_lines
+from greenroof_ros.base.command_line import (
+    Parser,
+    add_site,
+    command,
+    print_lines,
+    refuse_unwritable,
+)
 from greenroof_ros.base.console import PlainConsole
 from greenroof_ros.base.errors import rename_keys, require_extra
 from greenroof_ros.base.files import add_path_to_errors
 from greenroof_ros.base.progress import ProgressBar
-from greenroof_ros.commands.output_file import refuse_unwritable
 
 
 def make_parser() -> Parser:

@@ -43,10 +43,6 @@ def make_parser() -> Parser:
         help="write the results to DIR, which may be new, empty, or that of an earlier district",
     )
     parser.add_argument(
-        "--weather", type=Path, metavar="DIR",
-        help="look in DIR for weather files that are not next to DISTRICT.yaml",
-    )
-    parser.add_argument(
         "--jobs", type=make_number_type(1, 1024, int), metavar="N", default=count_cores(),
         help="use N threads (default: one per core)",
     )
@@ -66,15 +62,10 @@ def main() -> None:
         from greenroof_ros.analysis.district import page, result
         from greenroof_ros.analysis.page import claim_output
     claim_output(given.output, result.PAGE, result.FILES)
-    signals = Signals()  # from now on, a signal ends the run at the next report
-    with ProgressBar() as bar:
-        def report(text: str, share: float) -> None:
-            signals.check()
-            bar.show(text, share)
-
+    with ProgressBar(signals=Signals()) as bar:
         made = result.district(
-            find_shipped(given.district), weather=given.weather, jobs=given.jobs,
-            swmm=given.output / "swmm" if given.swmm else None, progress=report,
+            find_shipped(given.district), jobs=given.jobs,
+            swmm=given.output / "swmm" if given.swmm else None, progress=bar.show,
         )
         path = made.save(given.output)
     print_lines("note", made.notes)

@@ -26,12 +26,17 @@ import shutil
 from datetime import datetime, timezone
 from pathlib import Path
 
-from greenroof_ros.base.command_line import Parser, add_site, command, make_number_type
+from greenroof_ros.base.command_line import (
+    Parser,
+    add_site,
+    command,
+    make_number_type,
+    refuse_unwritable,
+)
 from greenroof_ros.base.files import replace_text
 from greenroof_ros.base.progress import ProgressBar
 from greenroof_ros.base.text import escape
 from greenroof_ros.base.times import FIRST_YEAR
-from greenroof_ros.commands.output_file import refuse_unwritable
 from greenroof_ros.commands.weather_file import show_records
 from greenroof_ros.site.file import read_site
 from greenroof_ros.weather.download import eccc_station, fetch, join_blocks, open_meteo_archive

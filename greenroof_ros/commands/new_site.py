@@ -34,11 +34,11 @@ from greenroof_ros.base.command_line import (
     command,
     make_number_type,
     print_lines,
+    refuse_unwritable,
 )
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.files import default_site_file
 from greenroof_ros.base.text import escape
-from greenroof_ros.commands.output_file import refuse_unwritable
 from greenroof_ros.physics.cistern import EMPTIED_H, find_outlet_radius
 from greenroof_ros.simulation.run import note_pumps
 from greenroof_ros.site.clock import standard_offset

@@ -5,8 +5,8 @@ a table with one row per design and season, sizes.csv, and the figures as SVG an
 what it rests on. No forecast of rain is used.
 
 The outlets are: none; drain, a valve that drains the cistern down to a reserve in dry weather; and
-plan, a valve that retains the water that plants take up in 20 days. A mains top-up or an outlet
-valve that the site file lacks is assumed, and the results state this.
+plan, a valve that retains the water that plants take up in 20 days. A site must have a mains
+top-up. An outlet valve that its file lacks is assumed, and the results state this.
 
 Exit codes: 0 done, 2 bad usage or configuration, 130 interrupted
 
@@ -39,7 +39,6 @@ from greenroof_ros.base.errors import rename_keys, require_extra
 from greenroof_ros.base.processes import Signals, count_cores
 from greenroof_ros.base.progress import ProgressBar
 from greenroof_ros.simulation.inputs import INPUTS
-from greenroof_ros.simulation.screen import print_weather
 
 
 def make_parser() -> Parser:
@@ -107,20 +106,16 @@ def main() -> None:
         from greenroof_ros.analysis.page import claim_output
         from greenroof_ros.analysis.sizing.page import tabulate_volumes
     claim_output(output, PAGE, [TABLE])
-    signals = Signals()  # a signal ends the runs at the next report
-    with ProgressBar() as bar, rename_keys({name: option_of(name) for name in given}):
-        def report(text: str, share: float) -> None:
-            signals.check()
-            bar.show(text, share)
-
-        sizes = size(progress=report, show=print_weather, **given)
-        report("drawing", 1.0)
+    names = {name: option_of(name) for name in given}
+    with ProgressBar(signals=Signals()) as bar, rename_keys(names):
+        sizes = size(progress=bar.show, **given)
+        bar.show("drawing", 1.0)
         page = sizes.save(output)
     console = PlainConsole()
     console.print(sizes.sentence, style="bold")
     table = tabulate_volumes(sizes, MAIN)[0]
     console.print_table(table.caption, table.headings(), table.texts(), table.marked)
-    for note in sizes.notes:
+    for note in (*sizes.read, *sizes.notes):
         console.print(f"NOTE: {note}")
     console.print(
         f"written to {page}, which also shows what the result rests on, and {TABLE}",

@@ -30,7 +30,6 @@ from greenroof_ros.base.command_line import (
     Parser,
     command,
     make_number_type,
-    refuse,
 )
 from greenroof_ros.base.console import PlainConsole
 from greenroof_ros.base.errors import require_extra
@@ -53,11 +52,6 @@ def make_parser() -> Parser:
         "--output", type=Path, metavar="DIR",
         help="write the study to this directory, which may be new or may contain a study that "
         "was started earlier (default: a directory in studies/ with the grid's name)",
-    )
-    parser.add_argument(
-        "--weather", type=Path, metavar="DIR",
-        help="look in this directory for weather files that are named in the grid but are not "
-        "next to the grid file",
     )
     parser.add_argument(
         "--jobs", type=make_number_type(1, 1024, int), metavar="N",
@@ -86,13 +80,8 @@ def main() -> int:
         from greenroof_ros.analysis.report.cases import Report
         from greenroof_ros.analysis.report.page import make_notes, make_table
         from greenroof_ros.analysis.report.runs import find_runs
-    weather: Path | None = arguments.weather
-    refuse((
-        weather is not None and not weather.is_dir(), "--weather", str(weather),
-        "must be a directory with weather files",
-    ))
     path = find_shipped(arguments.grid)
-    grid, records = read_grid(path, weather), dict[str, list[str]]()
+    grid, records = read_grid(path), dict[str, list[str]]()
     for run, _ in grid.files.runs.values():
         name = f"{Path(run.weather.source).name}, {run.steps * run.site.tau / 3600:g} h"
         records[f"{name} from {run.start}"] = as_lines(run.series.summary)
@@ -108,13 +97,11 @@ def main() -> int:
         print(f"{len(store.results)} of {len(grid.cases)} runs are stored", file=sys.stderr)
     signals = Signals()  # from now on a signal ends the study between two results
     try:
-        with ProgressBar() as bar:
-            def report(share: float) -> None:
-                signals.check()
-                bar.show(f"{len(store.results)} of {len(grid.cases)} runs", share)
-
+        with ProgressBar(signals=signals) as bar:
             run_study(
-                store, jobs=arguments.jobs, progress=report,
+                store, jobs=arguments.jobs, progress=lambda share: bar.show(
+                    f"{len(store.results)} of {len(grid.cases)} runs", share
+                ),
                 tell=lambda text: print(escape(text), file=sys.stderr),
             )
     except (WorkersLostError, InterruptedRun) as error:

@@ -27,11 +27,17 @@ from pathlib import Path
 
 from greenroof_ros.analysis.verification.result import verify
 from greenroof_ros.analysis.verification.scores import SCORES
-from greenroof_ros.base.command_line import Parser, add_site, command, make_number_type, print_lines
+from greenroof_ros.base.command_line import (
+    Parser,
+    add_site,
+    command,
+    make_number_type,
+    print_lines,
+    refuse_unwritable,
+)
 from greenroof_ros.base.console import PlainConsole
 from greenroof_ros.base.errors import rename_keys
 from greenroof_ros.base.files import add_path_to_errors
-from greenroof_ros.commands.output_file import refuse_unwritable
 from greenroof_ros.results.table import format_csv
 
 

@@ -27,12 +27,11 @@ from pathlib import Path
 
 import numpy as np
 
-from greenroof_ros.base.command_line import Parser, add_site, command
+from greenroof_ros.base.command_line import Parser, add_site, command, refuse_unwritable
 from greenroof_ros.base.console import PlainConsole
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.files import add_path_to_errors
 from greenroof_ros.base.times import to_people
-from greenroof_ros.commands.output_file import refuse_unwritable
 from greenroof_ros.simulation.screen import grid
 from greenroof_ros.site.file import read_site
 from greenroof_ros.site.site import Site, format_place

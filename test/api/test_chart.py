@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import base64
-import struct
 from datetime import datetime, timezone
 
-import altair
 import pytest
 
 import greenroof_ros as gr
@@ -56,16 +53,6 @@ def test_the_axis_has_the_sites_time(compared: Comparison) -> None:
     bottom = compared.plot().to_dict()["vconcat"][-1]["encoding"]["x"]
     assert bottom["scale"]["type"] == "utc"
     assert bottom["title"] == "from 7 July 2021, UTC-05:00"
-
-
-def test_a_notebook_shows_a_picture_without_internet(compared: Comparison) -> None:
-    """As wide on the screen as the chart is; of twice as many pixels."""
-    content, about = compared.plot()._repr_mimebundle_()
-    picture = base64.b64decode(content["image/png"])
-    assert list(content) == ["image/png"] and picture.startswith(b"\x89PNG")
-    assert 640 < about["image/png"]["width"] == struct.unpack(">I", picture[16:20])[0] / 2 < 900
-    with altair.renderers.enable("json"):  # the user's choice
-        assert "image/png" not in compared.plot()._repr_mimebundle_()
 
 
 def test_table(compared: Comparison) -> None:

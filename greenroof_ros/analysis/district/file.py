@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -133,8 +132,6 @@ class District:
     )
     path: Path = Path()
     """path of the file"""
-    place: Path | None = None
-    """additional directory to search for files"""
 
     @property
     def shares(self) -> list[float]:
@@ -159,25 +156,24 @@ class District:
             ConfigurationError: if there is no such file.
         """
         shipped = shared_directory() / "config"
-        everywhere = [self.path.parent, self.place or shipped, shipped, shipped / "weather"]
+        everywhere = [self.path.parent, shipped, shipped / "weather"]
         if found := find_matches(name, everywhere):
             return found
         raise self.refuse(key, f"there is no such file in {', '.join(map(str, everywhere))}", name)
 
 
-def read_district(path: Path, place: str | os.PathLike[str] | None = None) -> District:
+def read_district(path: Path) -> District:
     """Read and check a district file.
 
     Args:
         path: path of the file.
-        place: additional directory to search for the files that it names.
 
     Raises:
         ConfigurationError: if a key is unknown, missing or invalid, or if two keys contradict each
             other.
     """
     record = read_record(District, path, lambda district, _: _find_mistakes(district))
-    return replace(record, path=path, place=None if place is None else Path(place))
+    return replace(record, path=path)
 
 
 def _find_mistakes(district: District) -> Iterator[tuple[str, str]]:

@@ -69,8 +69,9 @@ def tabulate_assumptions(assumptions: pl.DataFrame, outlet: str) -> Table:
     """
     groups = assumptions.group_by("assumption", "value", maintain_order=True)
     return Table(
-        f"Some of the buildings with a green roof ({outlet}), with each assumption at both ends of "
-        "its range, one at a time; lowest and highest season in brackets",
+        f"The first ten buildings with a green roof of the first draw ({outlet}), which differ "
+        "from all buildings, with each assumption at both ends of its range, one at a time; lowest "
+        "and highest season in brackets",
         ["assumption", "value", *RESTS_ON.values()], [
             [*key, *(
                 format_range(each.mean(), each.min(), each.max(), column)

@@ -34,6 +34,11 @@ FILES = (*TABLES, "district.yaml", "swmm")
 """other files of the output than the page and its figures"""
 # Number of buildings with which the ends of assumptions are simulated.
 _SAMPLE = 10
+_FORECASTS = {
+    "errors": "forecasts of rain with errors as large as those of weather services",
+    "ensemble": "ensembles of forecasts with errors as large as those of weather services",
+    "perfect": "perfect forecasts of rain", "none": "no forecast of rain",
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,7 +98,8 @@ class DistrictResult:
         first = table.row(0, named=True)
         for how in [each for each in ("routed", "unrouted") if shown.OVERFLOW[each] in first][:1]:
             after, before = (shown.say(row, shown.OVERFLOW[how]) for row in (best, first))
-            text += f" The sewer overflows with {after} a season instead of {before} ({how})."
+            draw = "routed, first draw" if how == "routed" else how
+            text += f" The sewer overflows with {after} a season instead of {before} ({draw})."
         seasons, draws = self.all_rows["season"].unique(maintain_order=True), self.district.draws
         when = f"{self.window}, {' to '.join(dict.fromkeys((seasons[0], seasons[-1])))}"
         return (
@@ -127,13 +133,18 @@ class DistrictResult:
         figures = [shown.draw_adoption(table)]
         claim_output(directory, PAGE, FILES)
         shutil.copyfile(district.path, directory / "district.yaml")
-        html = make_page(f"Green roofs in a district of {count}", self.sentence, [
+        title = f"Green roofs in a district of {count}: {district.path.stem}"
+        html = make_page(title, self.sentence, [
             Section("The results", [
-                f"{count} have a connected area of {area:.3g} ha. They are compared with the same "
+                f"{count} have a connected area of {area:.3g} ha in the first draw. "
+                f"{100 * district.valve_share:g} % of the cisterns have a valve or an orifice, and "
+                "the others only an overflow. A season begins with cisterns half full and roofs "
+                "at their targets. The buildings are compared with the same "
                 "buildings as they are, from whose roofs all rain runs off at once. Wet weather is "
                 f"the time of rain and the {self.site.wet_after:g} h after it. What valves release "
                 "in dry weather reaches the same sewer: it counts in the discharge and in the "
-                "retention.",
+                "retention. Percentages are means of the seasons' percentages, which differ a "
+                "little from the ratios of the mean volumes.",
                 *(shown.tabulate(table, columns, caption) for columns, caption in (
                     (shown.VOLUMES, "Volumes in a season"),
                     (shown.ROUTED, "Routed by SWMM, first draw of the buildings"),
@@ -148,10 +159,11 @@ class DistrictResult:
                 )]), [
                     "Unrouted flows add up in the minute in which they leave their buildings. In "
                     "pipes they spread out and arrive one after another: real peaks are lower.",
-                    "Streets, yards, other buildings and storage in the sewer are left out.",
-                    "If rain was measured hourly, peaks over less than an hour are those of the "
-                    "hour.",
-                    f"The valve's plan receives the forecast '{district.forecast}'.",
+                    "Streets, yards, other buildings and storage in the sewer are left out; SWMM "
+                    "adds the sewage of 125 people per ha.",
+                    "The shortest rain of the record decides the peaks: of hourly rain, those over "
+                    "5 and 15 minutes are those of an hour.",
+                    f"The valve's plan receives {_FORECASTS[district.forecast]}.",
                 ],
             ]),
             Section("What was read", [self.notes]),
@@ -167,15 +179,13 @@ class DistrictResult:
 
 
 def district(
-    file: str | os.PathLike[str], *, weather: str | os.PathLike[str] | None = None, jobs: int = 1,
-    swmm: str | os.PathLike[str] | None = None,
+    file: str | os.PathLike[str], *, jobs: int = 1, swmm: str | os.PathLike[str] | None = None,
     progress: Callable[[str, float], None] = lambda text, share: None,
 ) -> DistrictResult:
     """Simulate the discharge of many buildings into one sewer, like ``greenroof district``.
 
     Args:
         file: path of the district file.
-        weather: directory to search for weather files that are not next to the district file.
         jobs: number of threads, which share the buildings.
         swmm: directory for networks that EPA SWMM routes; None without routing.
         progress: function that receives the current task and the completed share of the work; an
@@ -194,7 +204,7 @@ def district(
         >>> result = gr.district("my_district.yaml", jobs=2)  # doctest: +SKIP
         >>> result.table["outlet", "adoption", "wet_discharge_m3"]  # doctest: +SKIP
     """
-    given, notes = keys.read_district(Path(file), weather), list[str]()
+    given, notes = keys.read_district(Path(file)), list[str]()
     site = read_site(given.find_files("site", given.site)[0], {"tau": given.tau, "M": 1})
     if site.low_outlet_level is None and {*given.outlets} != {keys.NONE}:
         raise given.refuse("site", "needs a low outlet, as in site_valve.yaml, or outlets: [none]")

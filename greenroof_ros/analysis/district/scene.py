@@ -17,7 +17,6 @@ from greenroof_ros.analysis.district.buildings import GROUP, ID, LOW_OUTLET, Val
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.controllers.onoff import LEVEL
 from greenroof_ros.controllers.registry import find_controller
-from greenroof_ros.physics.start import find_state
 from greenroof_ros.physics.storm_water import HOUR_S, connected_area, find_wet, interval_seconds
 from greenroof_ros.simulation.run import Run
 from greenroof_ros.simulation.season import Case, simulate_season
@@ -108,7 +107,8 @@ class Scene:
             results, volumes = simulate_season([
                 Case(
                     *_equip(district, outlet, buildings.row(place, named=True), sites[place]),
-                    run, *find_state(sites[place])[1:], district.forecast != keys.NO_FORECAST,
+                    run, sites[place].a1 * sites[place].z_o / 2, sites[place].x2_star,
+                    district.forecast != keys.NO_FORECAST,
                     int(self._groups[place]),
                 ) for place in adopting
             ], threads=threads, progress=report)

@@ -14,8 +14,6 @@ from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
 
-import polars
-
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.files import default_site_file, read_text, read_yaml
 from greenroof_ros.base.text import number_of
@@ -170,6 +168,8 @@ def _read_table(file: Path) -> list[dict[str, Any]]:
     Raises:
         ConfigurationError: if the file is not a study's table, or is damaged.
     """
+    import polars  # not needed for the bags of a calibration
+
     try:
         table = polars.read_csv(file, infer_schema=False)
         numbers = _NUMBERS.intersection(table.columns)

@@ -122,7 +122,7 @@ def overlay_simulations(simulations: Mapping[str, tuple[Site, Trajectory]]) -> a
     Args:
         simulations: sites and trajectories, by the names of the lines.
     """
-    chart: alt.VConcatChart = figures.PictureColumn(
+    chart: alt.VConcatChart = alt.VConcatChart(
         vconcat=[panel.sized(_WIDTH) for panel in draw_over_time(simulations)], spacing=10
     ).resolve_scale(x="shared", color="shared", strokeDash="shared").configure(
         **figures.CONFIG

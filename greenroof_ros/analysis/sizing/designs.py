@@ -36,8 +36,7 @@ _DEPTHS_M = 0.004, 0.14
 # share by which the best target is refined.
 _STEP, _FINE = 1 / 20, 1 / 4
 
-# What sizing needs and a site file may not contain [assumed, as new-site does].
-_MAINS_ABOVE_SUCTION_M, _MAINS_MM_PER_H = 0.02, 10.0
+# Height of an assumed valve above the level of the mains top-up (m) [assumed].
 _OUTLET_ABOVE_MAINS_M = 0.03
 
 
@@ -138,6 +137,19 @@ def choose_outlet(site: Site, outlets: Sequence[str]) -> str:
     return own if own in outlets else outlets[0]
 
 
+def check_mains(site: Site) -> None:
+    """Refuse a site without a mains top-up, as its plants would dry out instead.
+
+    Raises:
+        ConfigurationError: if the site has none.
+    """
+    if site.mains_level is None:
+        raise ConfigurationError(
+            "has no mains top-up, so no share of its irrigation can be compared; set mains_level "
+            "and mains_flow, as in config/site_valve.yaml", key="site",
+        )
+
+
 def check_target(site: Site, target: float) -> None:
     """Check a target (mm).
 
@@ -159,7 +171,6 @@ def build(site: Site, design: Design) -> tuple[Site, Mapping[str, Any]]:
     What the site lacks is assumed, see :func:`list_assumed`. Of the site's own cistern, only the
     height is used.
     """
-    site = _add_mains(site)
     if design.outlet == NONE:
         site = replace(site, low_outlet_level=None, low_outlet_radius=None, **WITHOUT_VALVE)
     else:
@@ -179,15 +190,6 @@ def build(site: Site, design: Design) -> tuple[Site, Mapping[str, Any]]:
     return sized, find_controller(CONTROLLER).complete_parameters(sized, parameters)
 
 
-def _add_mains(site: Site) -> Site:
-    """Return a site with a mains top-up, which is needed to compute the share of demand met."""
-    if site.mains_level is not None:
-        return site
-    above = min(_MAINS_ABOVE_SUCTION_M, (site.min_outlet_level - site.suction_level) / 2)
-    flow = _MAINS_MM_PER_H / 1000 / 3600 * site.a2
-    return replace(site, mains_level=site.suction_level + above, mains_flow=flow)
-
-
 def _add_valve(site: Site) -> Site:
     """Return a site with a valve on a low outlet.
 
@@ -205,7 +207,6 @@ def _add_valve(site: Site) -> Site:
 
 def list_assumed(site: Site, outlets: Sequence[str]) -> list[str]:
     """Return sentences about how the designs are simulated, and what is assumed in them."""
-    topped_up = _add_mains(site)
     notes = [
         f"All cisterns have the height of the cistern in the site file, {site.z_o:g} m up to the "
         "overflow, and differ in their area. A season begins with the cistern half full and the "
@@ -215,15 +216,8 @@ def list_assumed(site: Site, outlets: Sequence[str]) -> list[str]:
         "up in 20 days, at the evapotranspiration of the next two days, and makes room in dry "
         "weather.",
     ]
-    if site.mains_level is None:
-        notes.append(
-            "Assumed, because the site file has no mains top-up: below a level of "
-            f"{topped_up.mains_level:.3g} m, mains water flows in at "
-            f"{3600 * (topped_up.mains_flow or 0.0):.3g} m³/h, which is {_MAINS_MM_PER_H:g} mm/h "
-            "over the roof."
-        )
     if not site.low_outlet_valve and {*outlets} != {NONE}:
-        level = _add_valve(topped_up).low_outlet_level
+        level = _add_valve(site).low_outlet_level
         size = f", which empties a full cistern down to this level in {EMPTIED_H:g} h"
         notes.append(
             f"Assumed: drain and plan have a valve at a level of {level:.3g} m"

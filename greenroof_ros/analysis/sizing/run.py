@@ -41,7 +41,7 @@ def size(
     targets: Sequence[float] | None = None, outlets: Sequence[str] | None = None,
     season: str | None = None, knee: float = KNEE, jobs: int = 1,
     progress: Callable[[str, float], None] = lambda text, share: None,
-    show: Callable[[Mapping[str, Any]], None] = lambda summary: None, **prices: float | None,
+    **prices: float | None,
 ) -> Sizes:
     """Compare cisterns, targets and outlets over all seasons of a record, like ``greenroof size``.
 
@@ -63,7 +63,6 @@ def size(
         jobs: number of threads.
         progress: callback that receives the current task and the share of it that is done, 0 to 1;
             an error that it raises ends the runs.
-        show: function that receives the summary of the weather.
         prices: ``mains_price``, ``storm_water_price``, ``cistern_price`` (each per m3), and
             ``cistern_years``, the number of years over which the price of the cistern is spread:
             all four, or none.
@@ -97,6 +96,7 @@ def size(
         }.items() if value is not None
     })
     base = inputs.read_site()
+    plans.check_mains(base)
     for target in own_targets or []:
         plans.check_target(base, target)
     window, outlet = read_window(season, base), plans.choose_outlet(base, kinds)
@@ -104,8 +104,6 @@ def size(
     own = compared[len(compared) // 2] if own_volumes else plans.find_volume(base)
     progress("reading weather", 0.0)
     record, _ = inputs.read_records(base)
-    summary = summarize(record, base)
-    show(summary)
     ticks = plans.build(base, Design(own, 1000 * base.z_veg, outlet))[0]
     seasons, incomplete = find_seasons(inputs, ticks, record, window)
 
@@ -160,7 +158,7 @@ def size(
         made = run(f"assuming {end.assumption.name} {end.value:g}", designs, end.site, runs)
         if not (changed := made.filter(**best.columns)).equals(reference):
             tested.append(Tested(end, changed, best_volume(made)))
-    contents, *notes = as_lines(summary)
+    contents, *notes = as_lines(summarize(record, base))
     left_out = [f"season {name} is left out: {why}" for name, why in incomplete.items()]
     return Sizes(
         inputs.site.stem if isinstance(inputs.site, Path) else "", base, rows, best, tested,

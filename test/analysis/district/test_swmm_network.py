@@ -62,5 +62,5 @@ def test_district(tmp_path: Path) -> None:
     # Hourly rain is steady for so short a trunk, which also carries 1 % of sewage.
     assert as_is["routed_peak_l_s"] == pytest.approx(as_is["peak_60min_l_s"], rel=0.02)
     assert rows["drain", 0.5]["routed_overflow_m3"] is None
-    assert "(routed)" in result.sentence
+    assert "(routed, first draw)" in result.sentence
     assert (tmp_path / "swmm" / "2021-07-07" / "drain_100.rpt").exists()
