@@ -17,7 +17,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 from uuid import uuid4
 
-from greenroof_ros.base.files import add_path_to_errors
 from greenroof_ros.base.processes import count_cores, scratch_directory
 
 # Longest time between two reports of progress (s).
@@ -65,11 +64,11 @@ def run_tasks(
         try:
             with _hold_interrupts():
                 for task in tasks:
-                    call = task.function, task.arguments
                     if executor is not None or task.in_threads:
-                        future = (executor or threads).submit(call[0], directory, *call[1])
+                        chosen = executor or threads
+                        future = chosen.submit(task.function, directory, *task.arguments)
                     else:
-                        future = processes.submit(_call_to_file, directory, results, *call)
+                        future = processes.submit(_call_to_file, directory, results, *task[:2])
                     pending[future] = task
             count, lost = len(pending), None
             while pending:
@@ -89,8 +88,7 @@ def run_tasks(
             progress(1.0)
         # The last two are raised if a process is killed while it starts.
         except (BrokenExecutor, CancelledError, EOFError, ConnectionError) as error:
-            own = isinstance(error, WorkersLostError)
-            raise WorkersLostError(str(error) if own else _LOST) from error
+            raise WorkersLostError(_LOST) from error
         finally:
             # The pool of processes cancels its own: of others, its thread may report the end too.
             for future, task in pending.items():
@@ -107,8 +105,7 @@ def _call_to_file(
     the rest if the process were killed while sending the result.
     """
     content, path = pickle.dumps(function(inputs, *arguments)), results / uuid4().hex
-    with add_path_to_errors(path):
-        path.write_bytes(content)
+    path.write_bytes(content)
     return path
 
 

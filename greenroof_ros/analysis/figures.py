@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -115,50 +114,24 @@ class Figure:
             file.write_bytes(vl_convert.svg_to_png(vectors, scale=2))
 
 
-def distinguish_series(name: str, values: list[str]) -> dict[str, Any]:
-    """Distinguish the series of a field by colour and dash pattern.
+def distinguish_series(name: str, values: list[str], *, points: bool = False) -> dict[str, Any]:
+    """Distinguish the series of a field by colour, and lines by dashes or points by shape.
 
     Vega repeats them if there are too few. Without series there is no legend, because the size of
     an empty legend is NaN in Vega.
     """
+    own: Any = ("strokeDash", alt.StrokeDash, _DASHES)
     legend = alt.Legend(symbolSize=600, symbolType="stroke")
-    channels = {"color": (alt.Color, COLOURS), "strokeDash": (alt.StrokeDash, _DASHES)}
-    return _distinguish(name, values, channels, legend)
-
-
-def distinguish_points(name: str, values: list[str]) -> dict[str, Any]:
-    """Distinguish the points of a field by colour and shape."""
-    channels = {"color": (alt.Color, COLOURS), "shape": (alt.Shape, _SHAPES)}
-    return _distinguish(name, values, channels, alt.Legend(symbolSize=60))
-
-
-def _distinguish(
-    name: str, values: list[str], channels: dict[str, tuple[Any, Any]], legend: alt.Legend
-) -> dict[str, Any]:
+    if points:
+        own, legend = ("shape", alt.Shape, _SHAPES), alt.Legend(symbolSize=60)
     return {
         key: channel(
             f"{name}:N", title=None, scale=alt.Scale(domain=values, range=[*choices]),
             legend=legend if values else None,
-        )
-        for key, (channel, choices) in channels.items()
+        ) for key, channel, choices in (("color", alt.Color, COLOURS), own)
     }
 
 
 def round_value(value: float | None) -> float | None:
     """Return a value with as many digits as a figure can show; None if it is not finite."""
     return None if value is None or not math.isfinite(value) else float(f"{value:.7g}")
-
-
-def series_panel(
-    lines: alt.Chart, field: str, names: list[str], title: str, below: Sequence[alt.Chart],
-) -> Panel:
-    """Return a panel of lines.
-
-    Args:
-        lines: chart with axes.
-        field: field that distinguishes the lines.
-        names: names of the lines, the values of ``field``.
-        title: title of the panel.
-        below: charts to draw underneath the lines.
-    """
-    return Panel(alt.layer(*below, lines.encode(**distinguish_series(field, names))), title)

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 from greenroof_ros.analysis.case import Case, drop_unused, run_case
 from greenroof_ros.analysis.executors import Task, run_tasks
 from greenroof_ros.analysis.store import StudyStore
+from greenroof_ros.analysis.tables import COLUMNS
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.files import unique_name
 from greenroof_ros.base.processes import scratch_directory
@@ -25,7 +26,6 @@ from greenroof_ros.forecast.issue import read_archive, write_forecasts
 from greenroof_ros.physics.compiled import note_if_slow
 from greenroof_ros.physics.sensor_and_pump import SensorAndPump
 from greenroof_ros.results.forked_polars import make_frame
-from greenroof_ros.results.metrics import METRICS
 from greenroof_ros.results.table import find_differing_keys
 from greenroof_ros.simulation.inputs import RunInputs, find_needs, make_inputs
 from greenroof_ros.simulation.run import Run, count_ticks
@@ -214,8 +214,7 @@ def study(
         rows = store.write_table()
     names, about = dict.fromkeys(key for row in rows for key in row), [*rows[0]].index("status")
     differing = find_differing_keys([dict([*row.items()][1:about]) for row in rows])
-    metrics = {metric.name for metric in METRICS}
-    results = [name for name in names if name in metrics or "bound" in name]
+    results = [name for name in names if name in COLUMNS or "bound" in name]
     failed = ["error"] * any(row["error"] for row in rows)
     return make_frame(rows, infer_schema_length=None).select(differing + results + failed).rename(
         lambda name: name.removeprefix("parameter:")

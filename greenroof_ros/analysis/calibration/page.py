@@ -11,7 +11,7 @@ from greenroof_ros.analysis.calibration.result import (
     Calibration,
     describe_scores,
 )
-from greenroof_ros.analysis.figures import Figure, round_value, series_panel
+from greenroof_ros.analysis.figures import Figure, Panel, distinguish_series, round_value
 from greenroof_ros.analysis.page import Section, make_page
 from greenroof_ros.analysis.tables import Column, Table
 from greenroof_ros.base.times import duration
@@ -81,10 +81,11 @@ def draw_quantity(quantity: str, made: Calibration) -> Figure:
                  axis=alt.Axis(tickCount=8, format="%d %b %y"))
     data = alt.Chart(alt.NamedData(f"{name}-days"))
     panels = [
-        series_panel(
+        Panel(
             chart.mark_line(clip=True, strokeWidth=1.2, interpolate="step-after").encode(
                 x=time, y=alt.Y(f"{value}:Q", title=f"{heading} {quantity} (mm)"),
-            ), field, names, f"{heading.capitalize()} {quantity}", [],
+                **distinguish_series(field, names),
+            ), f"{heading.capitalize()} {quantity}",
         )
         for chart, heading, value, field, names in (
             (data.transform_fold([MEASURED, SIMULATED], as_=["series", "v"]), "daily", "v",

@@ -34,11 +34,7 @@ FILES = (*TABLES, "district.yaml", "swmm")
 """other files of the output than the page and its figures"""
 # Number of buildings with which the ends of assumptions are simulated.
 _SAMPLE = 10
-_FORECASTS = {
-    "errors": "forecasts of rain with errors as large as those of weather services",
-    "ensemble": "ensembles of forecasts with errors as large as those of weather services",
-    "perfect": "perfect forecasts of rain", "none": "no forecast of rain",
-}
+_FORECASTS = {"perfect": "perfect forecasts", "none": "no forecasts"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,7 +159,8 @@ class DistrictResult:
                     "adds the sewage of 125 people per ha.",
                     "The shortest rain of the record decides the peaks: of hourly rain, those over "
                     "5 and 15 minutes are those of an hour.",
-                    f"The valve's plan receives {_FORECASTS[district.forecast]}.",
+                    "The valve's plan receives "
+                    f"{_FORECASTS.get(district.forecast, 'forecasts as good as services give')}.",
                 ],
             ]),
             Section("What was read", [self.notes]),

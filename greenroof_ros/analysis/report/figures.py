@@ -60,7 +60,7 @@ def _compare(place: polars.DataFrame, report: Report) -> figures.Panel:
     bound = [place.to_dicts()[0].get(BOUNDS.get(name, "")) for name in (x, y)]
     if None not in bound:
         rows.append({"case": "minimum possible", x: bound[0], y: bound[1]})
-    points = figures.distinguish_points("case", [row["case"] for row in rows])
+    points = figures.distinguish_series("case", [row["case"] for row in rows], points=True)
     base = alt.Chart(alt.InlineData(rows)).encode(
         x=_axis(alt.X, x), y=_axis(alt.Y, y), color=points["color"]
     )

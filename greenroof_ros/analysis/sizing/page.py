@@ -62,12 +62,6 @@ def list_sections(sizes: Sizes, figures: Sequence[Figure]) -> list[Section]:
     value = f"less than {sizes.knee_m3:g} m³ of mains water and wet-weather discharge a season"
     if sizes.prices is not None:
         value = f"less than it costs ({sizes.prices.yearly_cistern_price:.4g} a year)"
-    empty, full = (
-        " and ".join(
-            f"{SHOWN[name].form(start[name].mean())} m³ of {SHOWN[name].label}"
-            for name in ("mains_m3", "wet_discharge_m3")
-        ) for start in sizes.starts
-    )
     first, *_ = tabulate_volumes(sizes, MAIN)
     return [
         Section("The recommendation", [
@@ -86,8 +80,6 @@ def list_sections(sizes: Sizes, figures: Sequence[Figure]) -> list[Section]:
         ]),
         Section("Pictures", figures),
         Section("What it rests on", [
-            "If the cistern is empty at the start of a season, instead of half full, the result "
-            f"is {empty}; if it is full, {full}.",
             _tabulate_assumptions(sizes),
             sizes.notes,
         ]),
@@ -159,10 +151,7 @@ def _tabulate_assumptions(sizes: Sizes) -> Table:
         ["assumption", "value", *columns.values(), "best cistern (m³)"],
         [
             row("as used", "", used, own.volume),
-            *(
-                row(f"{end.assumption.label}; used: {getattr(sizes.site, end.assumption.name):g}",
-                    f"{end.value:g}", rows, best) for end, rows, best in sizes.tested
-            ),
+            *(row(text, f"{value:g}", rows, best) for text, value, rows, best in sizes.tested),
         ],
         frozenset({0}),
     )

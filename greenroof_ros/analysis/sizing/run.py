@@ -150,19 +150,26 @@ def size(
         volume = best_volume(rows)
     best = Design(volume, target, outlet)
     reference, tested = rows.filter(**best.columns), list[Tested]()
-    for end in list_ends(base):
-        runs, designs = seasons, [Design(each, target, outlet) for each in compared]
-        if end.assumption.name == "k_Rs":  # the only one on which evapotranspiration depends
-            ended, _ = inputs.read_records(end.site)
-            runs, _ = find_seasons(inputs, replace(ticks, k_Rs=end.value), ended, window)
-        made = run(f"assuming {end.assumption.name} {end.value:g}", designs, end.site, runs)
+    designs = [Design(each, target, outlet) for each in compared]
+
+    def test(label: str, used: float, value: float, made: polars.DataFrame) -> None:
         if not (changed := made.filter(**best.columns)).equals(reference):
-            tested.append(Tested(end, changed, best_volume(made)))
+            tested.append(Tested(f"{label}; used: {used:g}", value, changed, best_volume(made)))
+
+    for (name, label, *_), value, changed in list_ends(base):
+        runs = seasons
+        if name == "k_Rs":  # the only one on which evapotranspiration depends
+            ended, _ = inputs.read_records(changed)
+            runs, _ = find_seasons(inputs, replace(ticks, k_Rs=value), ended, window)
+        made = run(f"assuming {name} {value:g}", designs, changed, runs)
+        test(label, getattr(base, name), value, made)
+    for filled in (0.0, 1.0):
+        made = run("other initial states", designs, filled=filled)
+        test("share of the cistern that is filled when a season begins", _HALF, filled, made)
     contents, *notes = as_lines(summarize(record, base))
     left_out = [f"season {name} is left out: {why}" for name, why in incomplete.items()]
     return Sizes(
         inputs.site.stem if isinstance(inputs.site, Path) else "", base, rows, best, tested,
-        [run("other initial states", [best], filled=filled) for filled in (0.0, 1.0)],
         list(seasons), f"{window}",
         [*plans.list_assumed(base, kinds), *_remark(reference, volume, compared, base)],
         [f"{record.source}: {contents}", *notes, *list_notes(seasons, base), *left_out],

@@ -8,14 +8,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from greenroof_ros.analysis.assumptions import End
 from greenroof_ros.analysis.seasons import find_ranges
 from greenroof_ros.analysis.sizing.choice import Prices
 from greenroof_ros.analysis.sizing.designs import NONE, Design
 from greenroof_ros.analysis.sizing.results import BY_DESIGN, KEPT, PAGE, SHOWN, TABLE
 from greenroof_ros.analysis.tables import write_range
 from greenroof_ros.base.errors import require_extra
-from greenroof_ros.base.text import number_of
 from greenroof_ros.site.site import Site
 
 if TYPE_CHECKING:
@@ -25,7 +23,10 @@ if TYPE_CHECKING:
 class Tested(NamedTuple):
     """What the recommended design gives if an assumption is at one end of its range."""
 
-    end: End
+    assumption: str
+    """the assumption and the value that is used, in words"""
+    value: float
+    """the other value"""
     rows: polars.DataFrame
     """results of the recommended design in each season"""
     best: float
@@ -44,9 +45,7 @@ class Sizes:
             come the designs that compare targets, then those that compare cisterns with the
             recommended target.
         recommended: the recommended design.
-        tested: the recommended design at both ends of each assumption.
-        starts: results of the recommended design for seasons that begin with an empty and with a
-            full cistern.
+        tested: the recommended design at both ends of each assumption, and of the initial state.
         seasons: names of the seasons.
         window: the days of a season, in words.
         notes: assumptions, and remarks on the results.
@@ -61,18 +60,12 @@ class Sizes:
     table_of_seasons: polars.DataFrame
     recommended: Design
     tested: Sequence[Tested]
-    starts: Sequence[polars.DataFrame]
     seasons: Sequence[str]
     window: str
     notes: Sequence[str]
     read: Sequence[str]
     prices: Prices | None
     knee_m3: float
-
-    def __repr__(self) -> str:
-        """Return the number of designs and seasons as text."""
-        designs, seasons = len(self.table), len(self.seasons)
-        return f"<Sizes: {number_of(designs, 'design')}, {number_of(seasons, 'season')}>"
 
     @property
     def table(self) -> polars.DataFrame:

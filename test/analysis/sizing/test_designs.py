@@ -7,12 +7,14 @@ from dataclasses import replace
 
 import pytest
 from places import CONFIG
+from refusals import refusal
 
 from greenroof_ros.analysis.assumptions import list_ends
 from greenroof_ros.analysis.sizing.designs import (
     OUTLETS,
     Design,
     build,
+    check_mains,
     choose_targets,
     choose_volumes,
     list_assumed,
@@ -61,13 +63,12 @@ def test_a_site_with_all_of_it_needs_no_assumption() -> None:
     assert built.low_outlet_radius == site.low_outlet_radius
 
 
-def test_assumptions_are_named() -> None:
-    """Table I has neither mains nor valve: 10 mm/h on 68.8 m2 are 0.688 m3/h."""
-    site = read_site(CONFIG / "site.yaml")
-    mains, valve = (note for note in list_assumed(site, OUTLETS) if note.startswith("Assumed"))
-    assert "0.77 m, mains water flows in at 0.688 m³/h, which is 10 mm/h over" in mains
+def test_an_assumed_valve_is_named() -> None:
+    """3 cm above the mains; a site without mains is refused."""
+    site = read_site(CONFIG / "site.yaml", {"mains_level": 0.77, "mains_flow": 2e-4})
+    (valve,) = (note for note in list_assumed(site, OUTLETS) if note.startswith("Assumed"))
     assert "a level of 0.8 m, which empties a full cistern" in valve
-    assert build(site, Design(5.0, 45.7, "none"))[0].mains_flow == pytest.approx(0.688 / 3600)
+    refusal(check_mains, read_site(CONFIG / "site.yaml"), match="no mains top-up")
 
 
 def test_ends_of_the_assumptions() -> None:
@@ -86,7 +87,8 @@ def test_ends_of_the_assumptions() -> None:
 @pytest.mark.parametrize("volume", [2.0, 50.0])
 def test_the_assumed_valve_empties_any_cistern_in_twelve_hours(volume: float) -> None:
     """Stepped second by second to 1 mm above the outlet, where it still loses the last of it."""
-    site, _ = build(read_site(CONFIG / "site.yaml"), Design(volume, 45.7, "drain"))
+    bare = read_site(CONFIG / "site.yaml", {"mains_level": 0.77, "mains_flow": 2e-4})
+    site, _ = build(bare, Design(volume, 45.7, "drain"))
     stored, seconds = volume, 0
     numbers = plant_parameters(site)
     while stored > site.a1 * (site.low_outlet_level or 0.0) + 1e-3 * site.a1:
