@@ -217,7 +217,7 @@ def study(
     results = [name for name in names if name in COLUMNS or "bound" in name]
     failed = ["error"] * any(row["error"] for row in rows)
     return make_frame(rows, infer_schema_length=None).select(differing + results + failed).rename(
-        lambda name: name.removeprefix("parameter:")
+        lambda name: name if (plain := name.removeprefix("parameter:")) in results else plain
     )
 
 
