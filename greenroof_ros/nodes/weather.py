@@ -10,7 +10,7 @@ import math
 from array import array
 from dataclasses import replace
 
-from greenroof_ros.base.parameter import Parameter
+from greenroof_ros.base.parameter import Parameter, make_record
 from greenroof_ros.base.times import DEFAULT_START, epoch_ns, read_start
 from greenroof_ros.forecast.choice import INPUTS, MODELS, PERFECT, choose
 from greenroof_ros.forecast.steps import Outlook, make_forecast
@@ -22,6 +22,7 @@ from greenroof_ros.ros.messages import WithFront
 from greenroof_ros.ros.parameters import declare, look_ahead_parameters, site_file
 from greenroof_ros.site.horizon import look_ahead_ends
 from greenroof_ros.site.site import Site
+from greenroof_ros.weather.climate import CLIMATE, Climate
 from greenroof_ros.weather.read import default_weather, find_files, read_weather
 from greenroof_ros.weather.records import Array
 from greenroof_ros.weather.series import GAPS, REFUSE, Hour, WeatherSeries
@@ -55,6 +56,7 @@ def parameters(site: Site) -> list[Parameter]:
             "of day over the three days before and after",
             among=GAPS,
         ),
+        *CLIMATE.values(),
         *look_ahead_parameters(),
         Parameter(
             "forecast", PERFECT,
@@ -125,6 +127,7 @@ class RecordedWeather(WeatherNode, LockstepNode):
             # rclpy turns an empty list into None.
             find_files(values["weather_files"] or [], "parameter weather_files of weather"),
             site, values["evapotranspiration"] or None, values["gaps"],
+            make_record(Climate, {name: values[name] for name in CLIMATE}),
         )
         zone = weather.first.tzinfo if site.time_zone is None else site.zone
         start = read_start(values["start"], zone)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import shutil
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import asdict, replace
 from datetime import datetime
 from itertools import count
 from pathlib import Path
@@ -99,6 +99,7 @@ def write_configuration(directory: Path, run: Run, nodes: dict[str, object]) -> 
             "weather": {
                 **common, **span, "weather_files": weather_files,
                 "evapotranspiration": run.weather.method, "gaps": run.weather.gaps,
+                **asdict(run.weather.climate),
                 "horizon": run.parameters.get("horizon", 0.0), "outlet_horizon": outlet_horizon,
                 "all_members": all_members, "forecast": str(choice),
                 **{f"forecast_{name}": value for name, value in choice.options().items()},

@@ -29,6 +29,7 @@ from greenroof_ros.physics.start import INITIAL_STATES, find_state
 from greenroof_ros.simulation.run import Run, count_ticks
 from greenroof_ros.site.file import check_site, read_site
 from greenroof_ros.site.site import Site
+from greenroof_ros.weather.climate import Climate
 from greenroof_ros.weather.frame import find_zone, is_frame, read_frame
 from greenroof_ros.weather.read import (
     complete_records,
@@ -41,7 +42,7 @@ from greenroof_ros.weather.series import GAPS, REFUSE, Weather, WeatherSeries
 
 
 @dataclass(frozen=True)
-class RunInputs:
+class RunInputs(Climate):
     """The inputs of a run, before any file is read.
 
     Attributes:
@@ -107,7 +108,8 @@ class RunInputs:
         Raises:
             ConfigurationError: if the weather is invalid.
         """
-        what = site.place, self.evapotranspiration, self.gaps
+        climate = Climate(self.rain_factor, self.temperature_change)
+        what = site.place, self.evapotranspiration, self.gaps, climate
         records = read_frame(self.weather, site) if is_frame(self.weather) else self.weather
         if isinstance(records, Weather):
             return records, records

@@ -21,6 +21,7 @@ from greenroof_ros.physics import sensor_and_pump
 from greenroof_ros.physics.start import INITIAL_STATES
 from greenroof_ros.simulation.inputs import INPUTS, make_inputs
 from greenroof_ros.simulation.run import Run
+from greenroof_ros.weather.climate import CLIMATE
 
 
 def add_run_arguments(parser: Parser, arguments: Sequence[str] | None = None) -> None:
@@ -92,7 +93,7 @@ def add_site_arguments(group: argparse._ArgumentGroup) -> None:
     add_option(group, INPUTS["weather"], nargs="+", metavar="FILE")
     add_option(group, INPUTS["start"], metavar="ISO")
     add_option(group, INPUTS["initial"], choices=INITIAL_STATES)
-    for name in ("hours", "cistern", "roof", "gaps"):
+    for name in ("hours", "cistern", "roof", "gaps", *CLIMATE):
         add_option(group, INPUTS[name])
     add_option(group, INPUTS["evapotranspiration"], metavar="METHOD")
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -72,6 +73,7 @@ def make_unfinished_summary(run: Run, status: str, **happened: Any) -> dict[str,
         "parameters": replace_infinity(run.parameters),
         **describe_setting(run),
         "gaps": run.weather.gaps,
+        **asdict(run.weather.climate),
         "forecast": {
             "model": choice.model,
             **choice.options(),

@@ -13,7 +13,9 @@ from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.files import shared_directory
 from greenroof_ros.site.site import Place
 from greenroof_ros.weather import evapotranspiration, open_meteo, quantities
+from greenroof_ros.weather.climate import RECORDED, Climate, change_climate
 from greenroof_ros.weather.description import Description, read_description
+from greenroof_ros.weather.evapotranspiration import FAO56, HARGREAVES
 from greenroof_ros.weather.quantities import EVAPOTRANSPIRATION, PRECIPITATION, TEMPERATURE
 from greenroof_ros.weather.records import Array, Records, bridge_gaps, make_hours, write_records
 from greenroof_ros.weather.series import FILL, REFUSE, Weather
@@ -75,7 +77,8 @@ def read_measured(files: Sequence[Path], site: Place) -> Records:
 
 
 def read_weather(
-    files: Sequence[Path], site: Place, method: str | None = None, gaps: str = REFUSE
+    files: Sequence[Path], site: Place, method: str | None = None, gaps: str = REFUSE,
+    climate: Climate = RECORDED,
 ) -> Weather:
     """Read weather files as :func:`read_measured` does, and add evapotranspiration.
 
@@ -91,18 +94,21 @@ def read_weather(
             is one, and otherwise the most accurate method that the files allow. An empty text
             leaves evapotranspiration unknown (NaN), because a rain gauge does not measure it.
         gaps: treatment of longer gaps, one of :data:`greenroof_ros.weather.series.GAPS`.
+        climate: how the climate differs from that of the record.
 
     Raises:
         ConfigurationError: if a file cannot be parsed, if two files contradict each other, or if
             the method cannot be applied to the files.
     """
-    return complete_records(read_measured(files, site), site, method, gaps)
+    return complete_records(read_measured(files, site), site, method, gaps, climate)
 
 
 def complete_records(
-    measured: Records, site: Place, method: str | None = None, gaps: str = REFUSE
+    measured: Records, site: Place, method: str | None = None, gaps: str = REFUSE,
+    climate: Climate = RECORDED,
 ) -> Weather:
     """Fill gaps in records and add evapotranspiration, as :func:`read_weather` does."""
+    measured = change_climate(measured, climate)
     values = {
         quantity: bridge_gaps(series, MAX_GAP_H.get(quantity, 0))
         for quantity, series in measured.values.items()
@@ -137,7 +143,13 @@ def complete_records(
             f"must be one of {', '.join(evapotranspiration.COMPUTED)}{own}: {records.source} "
             "contains no other evapotranspiration", key="evapotranspiration", value=method,
         )
-    return Weather(**{**vars(records), "method": method, "left_out": (*notes,)}, gaps=gaps)
+    if climate.temperature_change and method not in (FAO56, HARGREAVES):
+        notes.append(
+            f"temperature_change changes only the frost: {method or 'no'} evapotranspiration does "
+            "not depend on it"
+        )
+    about = {**vars(records), "method": method, "left_out": (*notes,)}
+    return Weather(**about, gaps=gaps, climate=climate)
 
 
 def drop_empty(records: Records) -> Records:

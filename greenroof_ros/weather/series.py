@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.times import duration, to_minutes
 from greenroof_ros.site.site import Place, Site, format_place, measure_distance
+from greenroof_ros.weather.climate import RECORDED, Climate
 from greenroof_ros.weather.evapotranspiration import COMPUTED, FAO56
 from greenroof_ros.weather.quantities import (
     EVAPOTRANSPIRATION,
@@ -50,9 +51,11 @@ class Weather(Records):
 
     Attributes:
         gaps: treatment of long gaps, one of :data:`GAPS`.
+        climate: how the climate differs from that of the record.
     """
 
     gaps: str = REFUSE
+    climate: Climate = RECORDED
 
     @property
     def precipitation(self) -> Array:
