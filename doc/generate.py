@@ -191,8 +191,8 @@ def quality() -> str:
             if "recorder" in topic.live_subscribers:
                 return "published as required, recorded at a live site only"
             return "published as required, not recorded"
-        if topic.of_valve:
-            return "only at a site with a valve on the low outlet"
+        if topic.needs:
+            return f"only at a site with {topic.needs}"
         return "published by some controllers only" if topic.optional else ""
 
     def service(topic: Topic) -> str:

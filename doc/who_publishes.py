@@ -81,7 +81,7 @@ def rows(way: Way) -> list[tuple[str, str, list[str], bool]]:
         if source is None or topic.name == "/diagnostics":
             continue
         readers = [role for role in topic.subscribers if role in way.nodes and role != source]
-        perhaps = topic.optional or topic.of_valve or source in way.perhaps
+        perhaps = topic.optional or topic.needs != "" or source in way.perhaps
         unit = f" [{topic.unit}]" if topic.unit else ""
         lines.append((topic.name + unit, source, readers, perhaps))
     lines += [

@@ -13,7 +13,7 @@ def bag_topics(*outputs: str) -> set[str]:
         name
         for name, entry in topics.items()
         if entry["per_tick"] and (
-            name in outputs or not (entry.get("optional") or entry.get("of_valve"))
+            name in outputs or not (entry.get("optional") or entry.get("needs"))
         )
     }
 

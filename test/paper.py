@@ -239,6 +239,7 @@ def field_capacity_sites(draw: st.DrawFn) -> Site:
     mains = draw(st.none() | st.tuples(st.floats(0.01, 0.99), st.floats(1e-6, 1.0)))
     low = draw(st.none() | st.tuples(st.floats(0.01, 0.99), st.floats(0.001, 0.2)))
     exponent = draw(st.sampled_from([1.0, 2.0, 10.0]) | st.floats(1.0, 10.0))
+    needed = draw(st.none() | st.floats(0.0, 1e5))
     lowest = site.suction_level
     return replace(
         site,
@@ -253,6 +254,7 @@ def field_capacity_sites(draw: st.DrawFn) -> Site:
         z_veg=z_veg, x2_star=site.a2 * z_veg, z_cap=site.a2 * site.z_soil * capacity,
         field_capacity=capacity, wilting_point=wilting, depletion_fraction=draw(st.floats(0, 0.9)),
         percolation_exponent=exponent,
+        monthly_other_demand=None if needed is None else (needed,) * 12,
         drainage_storage=layer and layer[0], drainage_time=layer and layer[1],
         initial_layer=layer_filled * site.a2 * layer[0] if layer else 0.0,
     )

@@ -104,7 +104,7 @@ class Roofs:
         """Read the ticks from the current one to another (exclusive) or more, up to the end's."""
         run, site, first = self.runs[0], self.runs[0].site, self.tick
         last = min(max(last, first + _BLOCK), run.steps + 1)
-        rain, potential, frost, quiet = map(np.array, zip(
+        rain, potential, frost, quiet, other = map(np.array, zip(
             *(each.read_ticks(first, last, site) for each in self.runs), strict=True
         ))
         self._without_rain = np.array([
@@ -114,7 +114,7 @@ class Roofs:
         wet = is_wet(self._without_rain[:, 1:], site.tau, self._plant.wet_after_s)
         new_day = np.array([np.isin(np.arange(first, last), days) for days in self._new_days])
         errors = self._errors[first:last]
-        self._ticks = Ticks(first, rain, potential, frost, wet, quiet, new_day, errors)
+        self._ticks = Ticks(first, rain, potential, frost, wet, quiet, new_day, other, errors)
         self._first, self._end = first, last
 
     def follow(self, commands: Any, ticks: int) -> Values:
@@ -193,9 +193,12 @@ class Roofs:
         for levels, kept in zip(readings, self._sites.kept[:, min(k, 1)].tolist(), strict=True):
             (
                 cistern, roof, rain, demand, command, pump, outflow, drained, frost, layer, outlet,
-                low_outlet, evaporated, limited, mains,
+                low_outlet, other, evaporated, limited, mains, other_mains,
             ) = kept
-            flows = Flows(outflow, pump, drained, evaporated, limited > 0, mains, low_outlet)
+            flows = Flows(
+                outflow, pump, drained, evaporated, limited > 0, mains, low_outlet, other,
+                other_mains,
+            )
             ticks.append(Tick._make((
                 k, cistern, roof, layer, *levels, rain, demand, frost, command, flows, outlet
             )))

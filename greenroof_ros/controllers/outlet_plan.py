@@ -71,6 +71,7 @@ def find_levels(
         p, reserve, price, area = sites[row], options[row][0], options[row][1], options[row][3]
         floor, full = p.a1 * max(p.suction_level, p.mains_level), p.a1 * p.z_o
         outlet, needed = p.a1 * p.low_outlet_level, options[row][2] * _DAY_S * area * drawn / span
+        needed += options[row][2] * _DAY_S * p.other_demand
         kept = p.drainage_to_cistern
         comes = most * (p.effective_catchment + kept * p.a2) + kept * max(x2[row] - p.x2_star, 0.0)
         level = full
@@ -95,7 +96,7 @@ def solve(
         p: numbers of the site.
         floor: volume below which the cistern needs mains water or the pumps stop (m3).
         price: price of mains water (1).
-        needed: water that the roof needs within the reach (m3).
+        needed: water that roof and other uses need within the reach (m3).
         x1: volume in the cistern (m3).
         x2: volume on the roof (m3).
         rain: depth of rain in each hour (m), shape (members, hours).
@@ -146,7 +147,7 @@ def find_hourly(rates: Any, ends: Any, hours: int) -> Any:
 
 
 def find_flows(p: PlantParameters, x2: float, rain: Any, evaporated: Any) -> Any:
-    """Return the water that flows into the cistern in each hour, minus what the roof needs (m3).
+    """Return what flows into the cistern in each hour, minus what roof and other uses need (m3).
 
     Args:
         p: numbers of the site.
@@ -161,7 +162,7 @@ def find_flows(p: PlantParameters, x2: float, rain: Any, evaporated: Any) -> Any
         drained = max(above - room, 0.0)
         flows[hour] = (
             rain[hour] * p.effective_catchment + p.drainage_to_cistern * drained
-            - max(-above, 0.0)
+            - max(-above, 0.0) - _HOUR_S * p.other_demand
         )
         above = min(max(above, 0.0), room)
     return flows

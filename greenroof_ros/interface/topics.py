@@ -82,7 +82,7 @@ class Topic:
     qos: Qos
     meaning: str
     optional: bool = False
-    of_valve: bool = False
+    needs: str = ""
     display: Display | None = None
     dimensions: tuple[str, ...] = ()
     undecided: float | array[float] = math.nan
@@ -167,12 +167,12 @@ def optional_topics(outputs: Mapping[str, str]) -> list[tuple[Topic, str]]:
     return [(topic, outputs[name]) for name, topic in topics.items() if name in outputs]
 
 
-def recorded_topics(outputs: Mapping[str, str], valve: bool) -> list[Topic]:
+def recorded_topics(outputs: Mapping[str, str], site: object) -> list[Topic]:
     """Return the topics that a graph publishes in every tick, in the order of a bag.
 
     Args:
         outputs: the optional topics that the graph's controller publishes.
-        valve: True if the cistern's low outlet has a valve.
+        site: the site of the graph.
 
     Raises:
         ConfigurationError: if an output is not an optional topic of the interface.
@@ -181,5 +181,5 @@ def recorded_topics(outputs: Mapping[str, str], valve: bool) -> list[Topic]:
     return [
         topic for topic in read_topics().values()
         if topic.per_tick and (not topic.optional or topic.name in outputs)
-        and (valve or not topic.of_valve)
+        and (not topic.needs or getattr(site, topic.needs))
     ]

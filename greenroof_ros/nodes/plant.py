@@ -124,6 +124,9 @@ class PlantNode(LockstepNode):
         self._outlet = self.subscribe("/outlet/command") if site.low_outlet_valve else None
         if self._outlet is not None:
             self.open_outputs("/outlet/flow")
+        self._has_other = site.monthly_other_demand is not None
+        if self._has_other:
+            self.open_outputs("/cistern/other_flow")
         if self._external:
             self._flow = self.subscribe("/pump/flow")
         else:
@@ -186,6 +189,8 @@ class PlantNode(LockstepNode):
         self.publish("/roof/drainage", flows.drainage)
         if self._outlet is not None:
             self.publish("/outlet/flow", flows.low_outlet)
+        if self._has_other:
+            self.publish("/cistern/other_flow", flows.other)
         if not self._external:
             self.publish("/pump/flow", flows.pump)
 

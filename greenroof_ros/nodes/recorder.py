@@ -53,7 +53,7 @@ class RecorderNode(LockstepNode):
         values = declare(self, parameters())
         directory = Path(values["directory"])
         controller = find_controller(values["controller"])
-        topics = recorded_topics(controller.outputs, site.low_outlet_valve)
+        topics = recorded_topics(controller.outputs, site)
         if directory.exists():
             raise ConfigurationError(
                 "exists, but the recorder never overwrites a bag", key="directory", value=directory

@@ -56,6 +56,19 @@ def mains_inflow(p: PlantParameters, x1: float, drawn: float, seconds: float) ->
     return before * share + min(max(0.0, drawn), p.mains_flow) * (1 - share)
 
 
+def draw_other(p: PlantParameters, x1: float, demand: float) -> float:
+    """Return the flow that other uses draw in a tick (m3/s): the demand, down to the suction level.
+
+    They draw last, from what the outlets and the pumps leave, and take the rest from the mains.
+
+    Args:
+        p: parameters of the plant.
+        x1: volume in the cistern at the end of the tick, before they draw (m3).
+        demand: water that they need (m3/s).
+    """
+    return min(demand, max(0.0, x1 - p.a1 * p.suction_level) / p.tau)
+
+
 def let_out(
     p: PlantParameters, x1: float, outlet: float, seconds: float
 ) -> tuple[float, float]:

@@ -12,6 +12,7 @@ import math
 from typing import Any, NamedTuple
 
 from greenroof_ros.physics.storm_water import HOUR_S, interval_ticks
+from greenroof_ros.site.demand import other_demand
 from greenroof_ros.site.site import Site
 
 # A short tick: see plant_parameters.
@@ -20,6 +21,7 @@ SHORT_SHARE = 0.01
 """maximum share of the roof's target that pumps at full flow can deliver in a short tick (1)"""
 # Eq. (4) with Euler's method takes no more than this (m) in a tick from a soil at its capacity.
 _MAX_OVERDRAWN_M = 1e-4
+_MONTH_NS = 365 * 86_400 * 10**9 // 12
 
 
 class PlantParameters(NamedTuple):
@@ -54,6 +56,8 @@ class PlantParameters(NamedTuple):
     stress_onset: float
     percolation_exponent: float
     layer_storage: float
+    other_demand: float
+    """mean flow of water that other uses need (m3/s), for plans"""
     layer_rate: float
     """k of the drainage layer, whose outflow is k V^2 (1/(m3 s)); 0 without a layer"""
     drainage_to_cistern: float
@@ -107,6 +111,10 @@ class Flows(NamedTuple):
     """flow of mains water into the cistern"""
     low_outlet: float
     """part of the outflow that leaves through the low outlet"""
+    other: float
+    """flow from the cistern to other uses than the roof"""
+    other_mains: float
+    """mains water that other uses take because the cistern has too little"""
 
 
 def plant_parameters(site: Site) -> PlantParameters:
@@ -126,6 +134,7 @@ def plant_parameters(site: Site) -> PlantParameters:
             site.wilting_volume + site.stress_onset * site.available_volume
             if has_field_capacity else 0.0
         ),
+        "other_demand": float(other_demand(site, 0, _MONTH_NS, 12).mean()),
         "layer_rate": 1 / (site.layer_storage * (site.drainage_time or 0.0) or math.inf),
         "wet_after_s": site.wet_after * HOUR_S,
         "interval_ticks": interval,

@@ -9,7 +9,12 @@ from __future__ import annotations
 
 import math
 
-from greenroof_ros.physics.cistern import flows_in_long_tick, flows_in_short_tick, let_out_above
+from greenroof_ros.physics.cistern import (
+    draw_other,
+    flows_in_long_tick,
+    flows_in_short_tick,
+    let_out_above,
+)
 from greenroof_ros.physics.parameters import Flows, PlantParameters, State
 from greenroof_ros.physics.pump import maximum_pump_flow
 from greenroof_ros.physics.soil import (
@@ -25,7 +30,7 @@ OWN_PUMPS = math.nan
 
 def step(
     p: PlantParameters, state: State, rain: float, potential: float, command: float,
-    outlet: float, pumped: float,
+    outlet: float, pumped: float, other_demand: float = 0.0,
 ) -> tuple[State, Flows]:
     """Return the state after a tick, and the flows in it, Eqs. (1) to (4).
 
@@ -40,6 +45,7 @@ def step(
         outlet: opening of the low outlet's valve, 0 to 1; 1 without a valve.
         pumped: flow from the cistern to the roof (m3/s) if another program drives the pumps;
             otherwise :data:`OWN_PUMPS`.
+        other_demand: water that other uses need (m3/s), see :func:`draw_other`.
     """
     x1, x2, layer = state
     tau, collected, fallen = p.tau, rain * p.effective_catchment, rain * p.a2
@@ -66,13 +72,17 @@ def step(
             if mains > 0:  # they were open when the pumps emptied the cistern, as at first
                 mains = max(mains, outflow + pump - arriving - x1 / tau)
     into_cistern = collected + mains + p.drainage_to_cistern * drained
+    cistern = x1 + tau * (into_cistern - outflow - pump)
+    other = draw_other(p, cistern, other_demand)
     after = State(
         # A limited tank ends at 0, not a bit below it.
-        max(0.0, x1 + tau * (into_cistern - outflow - pump)),
+        max(0.0, cistern - tau * other),
         max(0.0, x2 + tau * (fallen + pump - (evaporated + percolated))),
         max(0.0, layer + tau * (percolated - drained)),
     )
-    return after, Flows(outflow, pump, drained, evaporated, limited or dry, mains, low)
+    return after, Flows(
+        outflow, pump, drained, evaporated, limited or dry, mains, low, other, other_demand - other
+    )
 
 
 def missing_on_roof(

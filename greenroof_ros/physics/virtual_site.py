@@ -18,6 +18,7 @@ from greenroof_ros.physics.sensor_and_pump import (
 )
 from greenroof_ros.physics.tick import OWN_PUMPS, step
 from greenroof_ros.physics.valve import make_valve, move_valve
+from greenroof_ros.site.demand import other_demand
 from greenroof_ros.site.site import Site
 
 
@@ -64,6 +65,12 @@ class VirtualSite:
         """Whether the current tick is within the site's quiet hours."""
         return self._site.quiet is not None and self._site.quiet.quiet_at(self.time_ns)
 
+    def other_demand(self) -> float:
+        """Return the water that other uses than the roof need in the current tick (m3/s)."""
+        if self._site.monthly_other_demand is None:
+            return 0.0
+        return float(other_demand(self._site, self.time_ns, self._tick_ns, 1)[0])
+
     def levels(self) -> tuple[float, float]:
         """Return the true levels of the cistern and the roof (m).
 
@@ -98,6 +105,7 @@ class VirtualSite:
         self._after, flows = step(
             self._parameters, self.state, precipitation, evapotranspiration, switched,
             move_valve(self._valve, self._parameters.tau, self.outlet), pumped,
+            self.other_demand(),
         )
         observe_pump(self._switch, flows.pump)
         return flows

@@ -67,12 +67,14 @@ def _share(part: float, whole: float) -> float:
 def _demand_met(site: Site, sums: Any) -> float:
     """Return the share of the pumped water that was rain.
 
-    The rest came from the mains, or was in the cistern at the start. Of the mains water, the part
+    With other uses, it is the share of all the water that roof and other uses needed. The rest came
+    from the mains, or was in the cistern at the start. Of the mains water, the part
     that raised the water below the float valve's level is still there. Of the initial water above
     this level, what remains or may have flowed to the sewer was not pumped. If drainage flows back
     into the cistern, water is pumped more than once, but no more rain than fell.
     """
-    if site.mains_level is None or not sums[s.PUMPED]:
+    used = sums[s.PUMPED] + sums[s.OTHER]
+    if site.mains_level is None or not used:
         return math.nan
     supplied = site.cistern_volume(site.mains_level)
     first, last = sums[s.FIRST_CISTERN], sums[s.CISTERN]
@@ -80,7 +82,8 @@ def _demand_met(site: Site, sums: Any) -> float:
     fallen = max(first, supplied) - max(last, supplied)
     other = from_mains + max(0.0, fallen - sums[s.OUTFLOW])
     collected = site.effective_catchment + site.drainage_to_cistern * site.a2
-    rain = min(max(0.0, sums[s.PUMPED] - other), sums[s.RAIN] * collected)
+    rain = min(max(0.0, used - other), sums[s.RAIN] * collected)
+    other += sums[s.OTHER_MAINS]
     return rain / (rain + other) if rain > 0 else 0.0
 
 
@@ -134,13 +137,16 @@ METRICS = (
     ),
     Metric(
         "mains_m3", "m3", "mains water used", ".4g",
-        lambda site, sums: math.nan if site.mains_level is None else sums[s.MAINS],
-        "mains water that flowed into the cistern, if the site has a mains supply",
+        lambda site, sums: (
+            math.nan if site.mains_level is None and site.monthly_other_demand is None
+            else sums[s.MAINS] + sums[s.OTHER_MAINS]
+        ),
+        "mains water that flowed into the cistern, or to other uses when the cistern was empty",
     ),
     Metric(
         "demand_met_share", "1", "irrigation with rain", ".1%", _demand_met,
-        "share of the pumped water that was neither mains water nor in the cistern at the start, "
-        "if the site has a mains supply",
+        "share of the water for roof and other uses that was neither mains water nor in the "
+        "cistern at the start, if the site has a mains supply",
     ),
     Metric(
         "final_cistern_m3", "m3", "cistern at the end", ".6g", s.CISTERN,
@@ -156,6 +162,11 @@ METRICS = (
         "water volume in the drainage layer at the end of the run, for a field-capacity soil",
     ),
     _volume("pumped", s.PUMPED, "water pumped from the cistern to the roof"),
+    Metric(
+        "other_m3", "m3", "other uses", ".4g",
+        lambda site, sums: math.nan if site.monthly_other_demand is None else sums[s.OTHER],
+        "water that other uses than the roof drew from the cistern",
+    ),
     _volume("outflow", s.OUTFLOW, "water that flowed from the cistern to the sewer"),
     _volume("drainage", s.DRAINED, "water that drained off the roof"),
     _volume(

@@ -43,8 +43,8 @@ _FIRST = 1 + 1e-9  # of equal peaks, the first one counts
     BUSIEST_HOUR, EXCESS_STARTS, ENERGY_J, OVERFLOW_DAYS, PEAK_5, PEAK_15, PEAK_60, EVENTS,
     FIRST_CISTERN, CISTERN, ROOF, LAYER, INTERVALS, _DAY_OVERFLOW, _RUNNING, _OPEN, _BEGIN, _END,
     _GAP, _RAIN_BEFORE, _WET_BEFORE, _DISCHARGE_BEFORE, _MAX_5, _AT_5, _PEAK, _PEAK_AT, _MAX_60,
-    _AT_60, _OLDEST, _PLACES,
-) = range(49)
+    _AT_60, _OLDEST, OTHER, OTHER_MAINS, _PLACES,
+) = range(51)
 # Buffers: rain, discharge in wet weather and discharge since the start, at the ends of the last
 # intervals; ticks of the last pump starts.
 _RING, _SUMS = 64, 3
@@ -88,7 +88,7 @@ def add(
         new_day: whether the tick is the first of a day of the site's clock.
     """
     tau, ticks, roof = p.tau, sums[TICKS], state.roof
-    outflow, pump, drainage, evaporated, limited, mains, low_outlet = flows
+    outflow, pump, drainage, evaporated, limited, mains, low_outlet, other, other_mains = flows
     if ticks == 0:
         sums[FIRST_CISTERN] = state.cistern
     if new_day:
@@ -123,6 +123,8 @@ def add(
             sums[WET_DISCHARGE] += tau * discharge
     if mains > 0:
         sums[MAINS] += tau * mains
+    sums[OTHER] += tau * other
+    sums[OTHER_MAINS] += tau * other_mains
     sums[LIMITED] += limited
     sums[MAX_COMMAND] = max(sums[MAX_COMMAND], command)
     sums[BEYOND] += command > 1

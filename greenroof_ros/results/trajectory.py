@@ -65,6 +65,10 @@ COLUMNS = (
         "low_outlet_flow_m3_per_s", "flows.low_outlet", "low_outlet", "/outlet/flow",
         "low_outlet_valve",
     ),
+    Column(
+        "other_flow_m3_per_s", "flows.other", "other", "/cistern/other_flow",
+        "monthly_other_demand",
+    ),
 )
 
 
@@ -107,6 +111,7 @@ class Trajectory:
             valve.
         low_outlet: the part of the outflow through the low outlet (m3/s); None without a valve.
         layer: water in the drainage layer (m3); None without one, or if it was not recorded.
+        other: flow from the cistern to other uses than the roof (m3/s); None without any.
     """
 
     start: datetime
@@ -123,6 +128,7 @@ class Trajectory:
     outlet: Samples | None = None
     low_outlet: Samples | None = None
     layer: Samples | None = None
+    other: Samples | None = None
 
     def to_frame(self) -> polars.DataFrame:
         """Return a table with the time in its zone, in microseconds, and all arrays.

@@ -189,7 +189,7 @@ def _limits(run: Run, max_command: float) -> tuple[Values, ...]:
         shape (N,).
     """
     site, tau = run.site, run.site.tau
-    rain, evapotranspiration, frost, quiet = run.read_ticks(0, run.steps, site)
+    rain, evapotranspiration, frost, quiet, _ = run.read_ticks(0, run.steps, site)
     # This assumes that the mains' valve is always open.
     received = _sums(run.x1, tau * (site.effective_catchment * rain + (site.mains_flow or 0.0)))
     # In a short tick the pumps lift water that was there before it.
@@ -415,7 +415,7 @@ def bound_discharge(
 
     In each step, with the volume v at its beginning,
 
-        v' = v + inflow + mains - pumped - released - overflow.
+        v' = v + inflow + mains - pumped - released - overflow - other uses.
 
     - v' is at most the full volume, or the volume with a closed valve if this is larger. v' is at
       least the volume that the pumps leave.
@@ -423,6 +423,7 @@ def bound_discharge(
       the step.
     - The overflow is at most the inflow plus the volume above the upper outlet at the beginning.
     - The mains water is at most the volume that the mains can supply.
+    - Other uses draw at most what they need, and take the rest from the mains.
 
     Every run with the same irrigation satisfies these conditions, so its discharge in wet weather
     plus the weighted mains water cannot be below the optimum.
@@ -454,8 +455,10 @@ def bound_discharge(
     )
     p, state = plant_parameters(site), State(run.x1, run.x2, site.initial_layer)
     closed = array("d", [run.x1])  # the volume in the cistern if the valve is always closed
-    for given in zip(rain.tolist(), potential.tolist(), pumped.tolist(), strict=True):
-        state, _ = step(p, state, *given[:2], 0.0, 0.0, given[2])
+    demand = run.read_ticks(0, run.steps, site)[4]
+    inputs = (values.tolist() for values in (rain, potential, pumped, demand))
+    for fallen, evaporated, *given in zip(*inputs, strict=True):
+        state, _ = step(p, state, fallen, evaporated, 0.0, 0.0, *given)
         closed.append(state.cistern)
     wet, _ = find_wet(rain.tolist(), tau, p.wet_after_s, run.without_rain_s)
     # An interval is in wet weather if all its ticks are, which can only lower the bound. A step of
@@ -465,11 +468,11 @@ def bound_discharge(
     begins = np.arange(len(starts)) % max(1, round(HOUR_S / seconds)) == 0
     begins |= np.diff(wet, prepend=wet[0])
     edges, wet = np.append(starts[begins], run.steps), wet[begins]
-    fallen, to_roof, from_roof = (
-        tau * np.add.reduceat(values, edges[:-1]) for values in (rain, pumped, drained)
+    arriving, to_roof, from_roof, needed = (
+        tau * np.add.reduceat(values, edges[:-1]) for values in (rain, pumped, drained, demand)
     )
     kept = site.drainage_to_cistern * from_roof
-    inflow, of_roof = fallen * site.effective_catchment + kept, (from_roof - kept)[wet].sum()
+    inflow, of_roof = arriving * site.effective_catchment + kept, (from_roof - kept)[wet].sum()
     # The last tick in which the pumps run begins at the suction level or above.
     lowest = min(run.x1, site.cistern_volume(site.suction_level)) - tau * pumped.max()
     full, overdrawn = site.cistern_volume(site.z_o), site.cistern_volume(_OVERDRAWN)
@@ -477,20 +480,24 @@ def bound_discharge(
     peaks = highest[:-1] + inflow
     released = lengths * [low_outlet_flow(p, volume + overdrawn) for volume in peaks.tolist()]
     balance = hstack([
-        diags([np.ones(n), -np.ones(n - 1)], [0, -1]), identity(n), identity(n), -identity(n)
+        diags([np.ones(n), -np.ones(n - 1)], [0, -1]), identity(n), identity(n), -identity(n),
+        identity(n),
     ], format="csc")
     change = inflow - to_roof
     change[0] += run.x1
-    lower = np.concatenate((np.full(n, lowest - overdrawn), np.zeros(3 * n)))
+    lower = np.concatenate((np.full(n, lowest - overdrawn), np.zeros(4 * n)))
     upper = np.concatenate((
         highest[1:] + overdrawn, released, peaks - full + overdrawn,
-        lengths * (site.mains_flow or 0.0),
+        lengths * (site.mains_flow or 0.0), needed,
     ))
     points: list[FrontierPoint] = []
     for weight in weights:
-        costs = np.concatenate((np.zeros(n), wet, wet, np.full(n, weight)))
-        _, out, over, let_in = np.split(_minimise(costs, balance, change, lower, upper).x, 4)
-        found = of_roof + float((out + over)[wet].sum()), float(let_in.sum())
+        costs = np.concatenate((np.zeros(n), wet, wet, np.full(n, weight), np.full(n, -weight)))
+        _, out, over, let_in, other = np.split(
+            _minimise(costs, balance, change, lower, upper).x, 5
+        )
+        mains = float((let_in + needed - other).sum())
+        found = of_roof + float((out + over)[wet].sum()), mains
         if not points or max(map(abs, np.subtract(found, points[-1][1:]))) > _SAME:
             points.append(FrontierPoint(weight, *found))
     return points

@@ -24,6 +24,7 @@ from greenroof_ros.physics.parameters import plant_parameters
 from greenroof_ros.physics.pump import maximum_pump_flow
 from greenroof_ros.physics.sensor_and_pump import SensorAndPump
 from greenroof_ros.physics.storm_water import HOUR_S, time_without_rain
+from greenroof_ros.site.demand import other_demand
 from greenroof_ros.site.site import Site
 from greenroof_ros.weather.records import Records
 from greenroof_ros.weather.series import Weather, WeatherSeries
@@ -84,26 +85,27 @@ class Run:
 
     def read_ticks(
         self, first: int, last: int, site: Site
-    ) -> tuple[Values, Values, NDArray[np.bool_], NDArray[np.bool_]]:
+    ) -> tuple[Values, Values, NDArray[np.bool_], NDArray[np.bool_], Values]:
         """Return what holds in the ticks from one to another (exclusive), each in an array.
 
         Args:
             first: first tick.
             last: end of the ticks.
-            site: site with this weather, whose quiet hours apply.
+            site: site with this weather, whose quiet hours and other demand apply.
 
         Returns:
-            Rain (m/s), evapotranspiration of the run's bed (m3/s), whether there is frost, and
-            whether the tick is in the quiet hours.
+            Rain (m/s), evapotranspiration of the run's bed (m3/s), whether there is frost,
+            whether the tick is in the quiet hours, and the water that other uses need (m3/s).
         """
         series, quiet = self.series, np.zeros(last - first, np.bool_)
         rain, evapotranspiration, frost = (
             np.frombuffer(values[first:last])
             for values in (series.precipitation, series.evapotranspiration, series.frost)
         )
+        ticks = self.time_ns(first), round(site.tau * 1e9), last - first
         if site.quiet is not None:
-            quiet = site.quiet.quiet_ticks(self.time_ns(first), round(site.tau * 1e9), last - first)
-        return rain, evapotranspiration, frost != 0, quiet
+            quiet = site.quiet.quiet_ticks(*ticks)
+        return rain, evapotranspiration, frost != 0, quiet, other_demand(site, *ticks)
 
     def count_ticks_between(self, every_s: float) -> int:
         """Return the interval between kept ticks (ticks) for a given time (s), rounded."""

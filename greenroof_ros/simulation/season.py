@@ -83,10 +83,10 @@ class Case(NamedTuple):
 
 KEPT = (
     "cistern", "roof", "precipitation", "evapotranspiration", "command", "pump_flow", "outflow",
-    "drainage", "frost", "layer", "outlet", "low_outlet",
+    "drainage", "frost", "layer", "outlet", "low_outlet", "other",
 )
 """values that are kept of a tick, under their names and in the order of :data:`.COLUMNS`"""
-ALL_KEPT = (*KEPT, "evaporated", "limited", "mains")
+ALL_KEPT = (*KEPT, "evaporated", "limited", "mains", "other_mains")
 """values that are kept of a tick where all flows are wanted"""
 _KEPT = len(KEPT)
 
@@ -127,6 +127,8 @@ class Ticks(NamedTuple):
     """whether each tick is in the quiet hours"""
     new_day: Any
     """whether each tick is the first of a day of the clock"""
+    other: Any
+    """water that other uses than the roof need (m3/s)"""
     errors: Any
     """error of the roof's sensor in every run (m), shape (ticks,), or (0,) without errors"""
 
@@ -197,6 +199,7 @@ def run_ticks(
         run, missed = sites.runs[row], 0.0
         rain, potential, frost = ticks.rain[run], ticks.potential[run], ticks.frost[run]
         wet, quiet, new_day = ticks.wet[run], ticks.quiet[run], ticks.new_day[run]
+        other = ticks.other[run]
         p, c = sites.parameters[row], sites.controls[row]
         switch, sums, events = sites.switches[row], sites.sums[row], sites.events[row]
         state, kept, valve = sites.state[row], sites.kept[row], sites.valves[row]
@@ -218,17 +221,19 @@ def run_ticks(
             if frozen and p.valve_closed_in_frost:
                 outlet = 0.0
             opening = move_valve(valve, p.tau, outlet)
-            after, flows = step(p, now, falls, demand, switched, opening, OWN_PUMPS)
+            after, flows = step(p, now, falls, demand, switched, opening, OWN_PUMPS, other[n])
             observe_pump(switch, flows.pump)
             if len(kept) > 0 and (k % every == 0 or k == steps):
                 values = kept[(k + every - 1) // every]
                 values[:_KEPT] = (
                     now.cistern, now.roof, falls, demand, command, flows.pump, flows.outflow,
                     flows.drainage, 1.0 if frozen else 0.0, now.layer, outlet, flows.low_outlet,
+                    flows.other,
                 )
                 if len(values) > _KEPT:
                     values[_KEPT:] = (
                         flows.evapotranspiration, 1.0 if flows.limited else 0.0, flows.mains,
+                        flows.other_mains,
                     )
             if k == steps:
                 break
@@ -302,7 +307,10 @@ def simulate_season(
     for row in sorted(range(count), key=lambda row: cases[row].group):
         case, site = cases[row], cases[row].site
         plans = case.parameters.get("outlet") == PLAN
-        key = plans, case.with_forecast, id(case.run), site.wet_after, site.zone, site.quiet_hours
+        key = (
+            plans, case.with_forecast, id(case.run), site.wet_after, site.zone, site.quiet_hours,
+            site.monthly_other_demand,
+        )
         together.setdefault(key, []).append(row)
     intervals = -(-steps // int(plant_parameters(cases[0].site).interval_ticks))
     hydrograph = np.zeros((1 + max(case.group for case in cases), 2, intervals))
@@ -410,12 +418,12 @@ class Season:
         plans = max(1, _PLANS // len(self._cases))
         for first in range(0, run.steps + 1, _BLOCK):
             last = min(first + _BLOCK, run.steps + 1)
-            rain, evaporated, frost, quiet = run.read_ticks(first, last, site)
+            rain, evaporated, frost, quiet, other = run.read_ticks(first, last, site)
             wet, without_rain = self._find_wet(
                 self._as_taken(rain), site.tau, self._wet_after, without_rain
             )
             new_day = np.isin(np.arange(first, last), new_days)
-            values = rain, evaporated / self._bed, frost, np.asarray(wet), quiet, new_day
+            values = rain, evaporated / self._bed, frost, np.asarray(wet), quiet, new_day, other
             block = Ticks._make((first, *map(self._as_taken, (
                 *(each[np.newaxis] for each in values), self.errors[first:last],
             ))))

@@ -29,6 +29,8 @@ LITRES_PER_HOUR = 1 / 3.6e6
 # proportional to the square root of this head plus the cistern's level, so a level of 3 m raises
 # the flow by only 1.5e-6 of its value.
 _HEAD_OF_CONSTANT_FLOW = 1e6
+# What stands for parameters until they are computed.
+_PLACEHOLDERS: dict[str, Any] = {"a_hat": -1.0, "monthly_other_demand": [0.0] * 12}
 
 # The pump of a site that is not irrigated: its numbers have no effect.
 _NO_PUMP: dict[str, Any] = {
@@ -94,6 +96,10 @@ class _PlainKeys:
     )
     catchment_area: float | None = _plain(
         "a_in", "area that drains to the cistern", 0.1, 1e6, "m2", (50, 2000)
+    )
+    other_demand: float | None = _plain(
+        "monthly_other_demand", "water that other uses than the roof need all year, such as "
+        "toilets", 0.0, 1e6, "l/day", (20, 2000),
     )
     roof_area: float | None = _plain("a2", "area of the green roof", 0.1, 1e6, "m2", (20, 2000))
     substrate: str | None = _plain(
@@ -179,7 +185,7 @@ def _translate(values: Mapping[str, Any]) -> dict[str, Any]:
     """
     soil = SUBSTRATES.get(str(values.get("substrate")), {})
     return (_NO_PUMP if "irrigation" in values else {}) | {
-        name: -1.0 if name == "a_hat" else soil.get(name, values[plain])
+        name: _PLACEHOLDERS.get(name) or soil.get(name, values[plain])
         for plain, names in DETERMINES.items() if plain in values for name in names
     }
 
@@ -187,6 +193,8 @@ def _translate(values: Mapping[str, Any]) -> dict[str, Any]:
 def _compute(site: _Description) -> _Description:
     """Return a site with the parameters that follow from plain keys and other parameters."""
     values: dict[str, Any] = {}
+    if site.other_demand is not None:
+        values["monthly_other_demand"] = (site.other_demand,) * 12
     if site.cistern_volume is not None:
         values["a1"] = site.cistern_volume / site.z_o
     litres = site.pump_flow or (site.emitters or 0) * (site.emitter_flow or 0.0)
@@ -416,12 +424,13 @@ def _find_contradictions(site: Site, given: Collection[str]) -> Iterator[tuple[s
             yield name, (
                 f"must be {formula} = {product:g} m3; leave this line out to have it computed"
             )
-    climate = site.monthly_evapotranspiration
+    months = "a list of twelve numbers, January to December"
     inflow = MUCH_RAIN / 3.6e6 * (site.effective_catchment + site.drainage_to_cistern * site.a2)
     top = max(HIGH * site.z_o, site.z_o + (inflow / site.c_out) ** 2)
     for name, holds, expected in (
-        ("monthly_evapotranspiration", climate is None or len(climate) == 12,
-         "a list of twelve numbers, January to December"),
+        ("monthly_evapotranspiration", len(site.monthly_evapotranspiration or months[:12]) == 12,
+         months),
+        ("monthly_other_demand", len(site.monthly_other_demand or months[:12]) == 12, months),
         ("z_o", top < site.d, f"lower, or r_o larger, so that the water stays below the roof at d "
          f"= {site.d:g} m; at {HIGH} z_o, or in rain of {MUCH_RAIN:g} mm/h, it is at {top:.4g} m"),
         ("initial_layer", site.initial_layer <= site.layer_storage, "at most the volume of the "

@@ -78,6 +78,12 @@ class Cistern:
         "cistern has no mains supply", 0.01, 100.0, unit="m", default=None,
     )
     mains_flow: float | None = entry("flow of mains water", 1e-6, 1.0, unit="m3/s", default=None)
+    monthly_other_demand: tuple[float, ...] | None = entry(
+        "mean of the water that other uses than the roof need in each month, such as toilets or a "
+        "garden, in a list from January to December; drawn from the cistern after the pump, down "
+        "to the level at which the pumps stop, while the mains supply the rest", 0.0, 1e6,
+        unit="l/day", default=None,
+    )
     drainage_to_cistern: float = entry(
         "share of the roof's drainage that flows into the cistern; the rest flows to the sewer",
         0.0, 1.0, unit="1", default=0.0,

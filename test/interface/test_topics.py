@@ -16,6 +16,7 @@ from paper import VALVE, site_file
 
 from greenroof_ros.base.files import read_yaml, shared_directory
 from greenroof_ros.interface.topics import read_topics, recorded_topics
+from greenroof_ros.site.file import read_site
 
 
 def test_numbers_have_a_display() -> None:
@@ -69,16 +70,20 @@ def test_types_match_ros() -> None:
 OUTPUTS = {"/controller/cost": "cost", "/controller/solver_status": "status"}
 
 
-@pytest.mark.parametrize("valve", [False, True])
-def test_live_graph_is_the_interface(domain: int, tmp_path: Path, valve: bool) -> None:
+@pytest.mark.parametrize("changes", [{}, VALVE | {"other_demand": 120}])
+def test_live_graph_is_the_interface(
+    domain: int, tmp_path: Path, changes: dict[str, object]
+) -> None:
     """The graph has exactly the topics of the interface: types, QoS, nodes."""
     rclpy = pytest.importorskip("rclpy", reason="the graph needs ROS 2")
     from rclpy.duration import Duration, Infinite
     from rclpy.node import Node
 
+    file = site_file(tmp_path, **changes)
+    site = read_site(file)
     process = Process(
         domain, "bringup", "--controller", "mpc", "--speed", "20", "--output", "run",
-        *(("--site", str(site_file(tmp_path, **VALVE))) if valve else ()), cwd=tmp_path,
+        "--site", str(file), cwd=tmp_path,
     )
     context = rclpy.Context()
     rclpy.init(args=[], context=context, domain_id=domain)
@@ -97,7 +102,8 @@ def test_live_graph_is_the_interface(domain: int, tmp_path: Path, valve: bool) -
             name: topic
             for name, topic in read_topics().items()
             if names.keys() & set(topic.publishers)
-            and (not topic.optional or name in OUTPUTS) and (valve or not topic.of_valve)
+            and (not topic.optional or name in OUTPUTS)
+            and (not topic.needs or getattr(site, topic.needs))
         }
         expected = {}
         for name, topic in interface.items():
@@ -136,7 +142,7 @@ def test_live_graph_is_the_interface(domain: int, tmp_path: Path, valve: bool) -
                 assert profile.liveliness_lease_duration == (
                     Duration(seconds=lease) if math.isfinite(lease) else Infinite
                 )
-        assert {topic.name for topic in recorded_topics(OUTPUTS, valve)} == {
+        assert {topic.name for topic in recorded_topics(OUTPUTS, site)} == {
             name for name, topic in interface.items() if topic.per_tick
         }
     finally:

@@ -42,14 +42,15 @@ TICKS = st.lists(
     cistern=st.floats(0, 12) | st.just(0.0),
     roof=st.floats(0, 4) | st.just(0.0),
     ticks=TICKS,
+    other=st.just(0.0) | st.floats(0, 1e-3),
 )
-@example(PAPER_SITE, 1.0, 0.04, 2e-6, [(0.0, 1e-3, 0.0, 0.3, 1.0)] * 5)
-@example(replace(PAPER_SITE, a1=5 / 3), 60.0, 2.027, 1.0, [(2e-5, 0.0, 0.0, OWN_PUMPS, 1.0)] * 5)
-@example(KEPT, 60.0, 1.25, 0.02, [(4.8e-6, 0.0, 0.0, 1.0, 1.0)])
-@example(replace(PAPER_SITE, K=1e-3), 300.0, 1.0, 1.1, [(0.0, 0.0, 0.0, OWN_PUMPS, 1.0)] * 5)
+@example(PAPER_SITE, 1.0, 0.04, 2e-6, [(0.0, 1e-3, 0.0, 0.3, 1.0)] * 5, 2e-3)
+@example(replace(PAPER_SITE, a1=5 / 3), 60.0, 2.027, 1.0, [(2e-5, 0, 0, OWN_PUMPS, 1.0)] * 5, 0.0)
+@example(KEPT, 60.0, 1.25, 0.02, [(4.8e-6, 0.0, 0.0, 1.0, 1.0)], 0.0)
+@example(replace(PAPER_SITE, K=1e-3), 300.0, 1.0, 1.1, [(0, 0, 0, OWN_PUMPS, 1.0)] * 5, 0.0)
 def test_each_tank_changes_by_what_flows(
     site: Site, tau: float, cistern: float, roof: float,
-    ticks: list[tuple[float, float, float, float, float]],
+    ticks: list[tuple[float, float, float, float, float]], other: float,
 ) -> None:
     """Each tick, to rounding. A field-capacity soil counts with its layer."""
     site = replace(site, tau=tau)
@@ -57,10 +58,10 @@ def test_each_tank_changes_by_what_flows(
     state = state._replace(layer=site.initial_layer)
     for rain, evaporated, command, pumped, valve in ticks:
         valve = valve if site.low_outlet_valve else 1.0
-        after, flows = step(p, state, rain, evaporated, command, valve, pumped)
+        after, flows = step(p, state, rain, evaporated, command, valve, pumped, other)
         into_cistern = rain * site.a_in * site.runoff_coefficient + flows.mains
         into_cistern += site.drainage_to_cistern * flows.drainage
-        gain_1 = tau * (into_cistern - flows.outflow - flows.pump)
+        gain_1 = tau * (into_cistern - flows.outflow - flows.pump - flows.other)
         arrived = rain * site.a2 + flows.pump
         gain_2 = tau * (arrived - flows.evapotranspiration - flows.drainage)
         # Of the largest volumes that were added up.
@@ -71,6 +72,11 @@ def test_each_tank_changes_by_what_flows(
         assert min(*after, *flows) >= 0
         assert after.layer <= site.layer_storage + precision
         assert flows.evapotranspiration <= evaporated
+        # Other uses take all that they need from what is above the suction level, or the mains'.
+        suction = site.a1 * (site.z_pump + site.z_H)
+        assert flows.other + flows.other_mains == pytest.approx(other)
+        assert flows.other == 0 or after.cistern >= suction - precision
+        assert flows.other_mains == 0 or after.cistern <= suction + precision
         check_cistern(site, state.cistern, flows, valve, state.cistern + tau * into_cistern)
         if pumped != pumped:
             check_pumps(site, state, after, flows, rain, command)
@@ -165,13 +171,14 @@ def test_any_storm_balances(
     fallen = sum(hour[0] for hour in hours) / 1000
     collected = fallen * site.a_in * site.runoff_coefficient
     low_outlet = tau * sum(tick.flows.low_outlet for tick in ticks[:-1])
-    drained, mains = metrics["drainage_m3"], metrics.get("mains_m3", 0.0)
+    drained, other = metrics["drainage_m3"], metrics.get("other_m3", 0.0)
+    mains = metrics.get("mains_m3", 0.0) - tau * sum(tick.flows.other_mains for tick in ticks[:-1])
     largest = max(1.0, *(tick.x1 + tick.x2 + tick.layer for tick in ticks))
-    moved = metrics["rain_m3"] + mains + metrics["discharge_m3"] + metrics["pumped_m3"]
+    moved = metrics["rain_m3"] + mains + metrics["discharge_m3"] + metrics["pumped_m3"] + other
     precision = 1e-11 * (len(ticks) + 100) * (largest + moved + metrics["evapotranspiration_m3"])
     assert metrics["rain_m3"] == pytest.approx(fallen * site.a2 + collected, rel=1e-9)
     assert ticks[-1].x1 - x1 == pytest.approx(
-        collected + mains + kept * drained - metrics["outflow_m3"] - metrics["pumped_m3"],
+        collected + mains + kept * drained - metrics["outflow_m3"] - metrics["pumped_m3"] - other,
         abs=precision,
     )
     assert ticks[-1].x2 + ticks[-1].layer - x2 - site.initial_layer == pytest.approx(

@@ -126,7 +126,7 @@ def test_a_tank_that_holds_too_little_shares_it_out(
 ) -> None:
     """And nothing is left in it."""
     after, flows = tick_of(PAPER_SITE, x1, x2, *inputs[:2], pumped=inputs[2])
-    assert flows == pytest.approx((*expected, 0.0, 0.0), rel=1e-12)
+    assert flows == pytest.approx((*expected, 0.0, 0.0, 0.0, 0.0), rel=1e-12)
     assert 0.0 in after[:2]
 
 

@@ -10,7 +10,7 @@ from greenroof_ros.physics.parameters import Flows, State
 from greenroof_ros.results.metrics import Metrics, Results
 from greenroof_ros.site.site import Site
 
-STILL, END = Flows(0.0, 0.0, 0.0, 0.0, False, 0.0, 0.0), State(50.0, 1.0, 0.0)
+STILL, END = Flows(0.0, 0.0, 0.0, 0.0, False, 0.0, 0.0, 0.0, 0.0), State(50.0, 1.0, 0.0)
 
 
 class Tick(NamedTuple):

@@ -28,8 +28,8 @@ def test_sums_by_hand() -> None:
     The cistern's inlet has 0.305^2 pi = 0.2922467 m2, the bed 68.8 m2.
     """
     results = summed(site_with(tau=2.0), [
-        Tick(Flows(0.1, 0.004, 0.001, 2e-4, False, 0.0, 0.0), 1e-6, 0.5, at(3.0, 60.0)),
-        Tick(Flows(0.0, 0.0, 0.002, 1e-4, True, 0.0, 0.0), 0.0, 1.25, at(3.5)),
+        Tick(Flows(0.1, 0.004, 0.001, 2e-4, False, 0.0, 0.0, 0.0, 0.0), 1e-6, 0.5, at(3.0, 60.0)),
+        Tick(Flows(0.0, 0.0, 0.002, 1e-4, True, 0.0, 0.0, 0.0, 0.0), 0.0, 1.25, at(3.5)),
     ], at(3.2, 40.0)).metrics
     expected = {
         "total_deviation_m3": 0.14416 + 0.35584 + 0.05584, "near_target_hours": 2 / 3600,

@@ -29,6 +29,7 @@ COLUMNS = {
     "/roof/drainage": "drainage_m3_per_s",
 }
 OF_VALVE = {"/outlet/command": "outlet_command", "/outlet/flow": "low_outlet_flow_m3_per_s"}
+OF_OTHER = {"/cistern/other_flow": "other_flow_m3_per_s"}
 # What the two runs may differ in.
 OWN = ("wall_s", "times_real_time", "solver", "messages", "versions")
 
@@ -49,7 +50,9 @@ def same_bits(domain: int, directory: Path, *options: str) -> list[dict[str, str
     bag = messages_of(directory / "run")
     valve = OF_VALVE if "outlet_command" in rows[0] else {}
     assert OF_VALVE.keys() & bag.keys() == valve.keys()
-    for topic, column in (COLUMNS | valve).items():
+    other = OF_OTHER if OF_OTHER["/cistern/other_flow"] in rows[0] else {}
+    assert OF_OTHER.keys() & bag.keys() == other.keys()
+    for topic, column in (COLUMNS | valve | other).items():
         if topic == "/roof/level" and "--roof-noise" in options:
             continue  # a reading of the sensor; the trajectory has the true level
         values = [message[4:12] for message in bag[topic]]
@@ -67,10 +70,12 @@ def same_bits(domain: int, directory: Path, *options: str) -> list[dict[str, str
 def test_same_bits_with_a_valve(domain: int, tmp_path: Path, moves: float | None) -> None:
     """In ticks of a minute, with noise, and frost that closes the valve for an hour.
 
+    Where the moves are limited, other uses draw from the cistern, too.
+
     It rained until an hour before the run, whose weather therefore is wet for another hour: the
     policies that drain open the valve in tick 60.
     """
-    limit = {"valve_moves_per_hour": moves} if moves else {}
+    limit = {"valve_moves_per_hour": moves, "other_demand": 3000.0} if moves else {}
     file = site_file(
         tmp_path, tau=60.0, valve_closed_in_frost=True, drainage_to_cistern=0.5, **VALVE, **limit
     )

@@ -1,0 +1,96 @@
+"""Water that toilets, a garden and others draw from the cistern, besides the roof."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from datetime import datetime, timedelta, timezone
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from paper import run_in, weather_of
+from places import CONFIG
+
+from greenroof_ros.base.errors import ConfigurationError
+from greenroof_ros.simulation.bound import bound_discharge
+from greenroof_ros.simulation.loop import simulate
+from greenroof_ros.site.file import read_site
+
+# The pumps stop at 0.05 m, which are 0.25 m3.
+HOUSE = CONFIG / "site_valve.yaml"
+CLOSED = {"level": 0.0, "outlet": "closed"}
+
+
+@pytest.mark.parametrize("mains", [True, False])
+def test_a_cistern_is_drawn_down_to_the_suction_level(mains: bool) -> None:
+    """200 l a day for ten days: 1 m3 lasts for 3.75 days; the mains supply 1.25 m3.
+
+    A float valve, which opens at 0.35 m3, begins earlier and keeps the cistern there.
+    """
+    site = replace(read_site(HOUSE, {"other_demand": 200.0}), tau=60.0)
+    if not mains:
+        site = replace(site, mains_level=None, mains_flow=None)
+    run = run_in(weather_of([0.0] * 240), site, 1.0, site.x2_star, **CLOSED)
+    metrics, ticks = simulate(run, every=1)
+    assert ticks is not None and ticks.other is not None
+    left = 0.35 if mains else 0.25
+    assert metrics["final_cistern_m3"] == pytest.approx(left, abs=0.001)
+    assert metrics["mains_m3"] == pytest.approx(2.0 - (1.0 - left), abs=0.001)
+    assert metrics["other_m3"] == pytest.approx(2.0 if mains else 0.75, abs=0.001)
+    assert ticks.other[:5400] == pytest.approx(0.2 / 86400)
+    assert metrics["pumped_m3"] == metrics["discharge_m3"] == 0
+
+
+def test_demand_of_each_month() -> None:
+    """30 June and 1 July, by the standard time of a site two hours east of Greenwich."""
+    months = [0.0] * 5 + [100.0, 300.0] + [0.0] * 5
+    site = replace(read_site(HOUSE, {"monthly_other_demand": months}), tau=600.0, utc_offset=2.0)
+    first = datetime(2021, 6, 30, tzinfo=timezone(timedelta(hours=2)))
+    run = run_in(weather_of([0.0] * 48, first=first), site, 5.0, site.x2_star, **CLOSED)
+    metrics, ticks = simulate(run, every=1)
+    assert ticks is not None and ticks.other is not None
+    assert metrics["other_m3"] == pytest.approx(0.4)
+    np.testing.assert_allclose(ticks.other[[0, 143, 144, 287]] * 86400, [0.1, 0.1, 0.3, 0.3])
+
+
+@settings(max_examples=15, deadline=None)
+@given(
+    demand=st.floats(0, 4000),
+    depths=st.lists(st.sampled_from([0.0, 0.0, 3.0, 20.0]), min_size=6, max_size=30),
+    policy=st.sampled_from(["closed", "open", "drain", "plan"]), filled=st.floats(0.1, 9.9),
+)
+def test_no_valve_is_better_than_the_bound(
+    demand: float, depths: list[float], policy: str, filled: float
+) -> None:
+    site = replace(read_site(HOUSE, {"other_demand": demand}), tau=60.0)
+    run = run_in(weather_of(depths), site, filled, site.x2_star, outlet=policy)
+    found, ticks = simulate(run, every=1)
+    assert ticks is not None
+    for point in bound_discharge(run, ticks):
+        cost = found["wet_discharge_m3"] + point.weight * found["mains_m3"]
+        assert cost >= point.wet_discharge_m3 + point.weight * point.mains_m3 - 1e-6
+
+
+def test_a_plan_keeps_what_other_uses_will_need() -> None:
+    """Before a storm of 24 mm that a cistern with 5 m3 cannot hold, without more wet discharge."""
+    rain, found = [0.0] * 24 + [8.0] * 3 + [0.0] * 12, []
+    for demand in (0.0, 1000.0):
+        site = replace(read_site(HOUSE, {"other_demand": demand}), tau=600.0)
+        found.append(simulate(run_in(weather_of(rain), site, 5.0, site.x2_star, outlet="plan"))[0])
+    without, with_demand = found
+    assert with_demand["wet_discharge_m3"] == pytest.approx(without["wet_discharge_m3"], abs=0.01)
+    assert with_demand["final_cistern_m3"] > without["final_cistern_m3"] + 5
+    assert without["outflow_m3"] > 8 and with_demand["outflow_m3"] < 1
+
+
+@pytest.mark.parametrize(("key", "value"), [
+    ("other_demand", -1), ("other_demand", [1, 2]), ("monthly_other_demand", [100] * 11),
+])
+def test_refused(tmp_path: Path, key: str, value: object) -> None:
+    file = tmp_path / "site.yaml"
+    file.write_text(f"extends: site_valve.yaml\n{key}: {value}\n")
+    with pytest.raises(ConfigurationError) as caught:
+        read_site(file)
+    assert str(caught.value).startswith(f"{file}, line 2: {key}")
