@@ -193,11 +193,11 @@ class Roofs:
         for levels, kept in zip(readings, self._sites.kept[:, min(k, 1)].tolist(), strict=True):
             (
                 cistern, roof, rain, demand, command, pump, outflow, drained, frost, layer, outlet,
-                low_outlet, other, evaporated, limited, mains, other_mains,
+                low_outlet, other, other_demand, evaporated, limited, mains,
             ) = kept
             flows = Flows(
                 outflow, pump, drained, evaporated, limited > 0, mains, low_outlet, other,
-                other_mains,
+                other_demand,
             )
             ticks.append(Tick._make((
                 k, cistern, roof, layer, *levels, rain, demand, frost, command, flows, outlet

@@ -124,8 +124,9 @@ class PlantNode(LockstepNode):
         self._outlet = self.subscribe("/outlet/command") if site.low_outlet_valve else None
         if self._outlet is not None:
             self.open_outputs("/outlet/flow")
-        self._has_other = site.monthly_other_demand is not None
-        if self._has_other:
+        self._other = None
+        if site.monthly_other_demand is not None:
+            self._other = self.subscribe("/cistern/other_demand")
             self.open_outputs("/cistern/other_flow")
         if self._external:
             self._flow = self.subscribe("/pump/flow")
@@ -169,6 +170,7 @@ class PlantNode(LockstepNode):
             rain, evapotranspiration, command,
             self._flow.value if self._external else OWN_PUMPS,
             1.0 if self._outlet is None else self._outlet.value,
+            0.0 if self._other is None else self._other.value,
         )
         self._paused = True
         self._waiting_since = time.monotonic()
@@ -189,7 +191,7 @@ class PlantNode(LockstepNode):
         self.publish("/roof/drainage", flows.drainage)
         if self._outlet is not None:
             self.publish("/outlet/flow", flows.low_outlet)
-        if self._has_other:
+        if self._other is not None:
             self.publish("/cistern/other_flow", flows.other)
         if not self._external:
             self.publish("/pump/flow", flows.pump)

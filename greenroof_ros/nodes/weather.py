@@ -27,7 +27,7 @@ from greenroof_ros.weather.read import default_weather, find_files, read_weather
 from greenroof_ros.weather.records import Array
 from greenroof_ros.weather.series import GAPS, REFUSE, Hour, WeatherSeries
 
-_FROST = "/weather/frost"
+_FROST, _OTHER_DEMAND = "/weather/frost", "/cistern/other_demand"
 _RAIN, _EVAPOTRANSPIRATION = "/weather/precipitation", "/weather/evapotranspiration"
 _FORECASTS = "/forecast/precipitation", "/forecast/evapotranspiration"
 # A parameter of a node must have a value: this one stands for the usual delay (h).
@@ -143,6 +143,9 @@ class RecordedWeather(WeatherNode, LockstepNode):
         self._start_ns, self._tick_ns = epoch_ns(start), round(site.tau * 1e9)
         self._hour: Hour | None = None
         self.subscribe(CLOCK)
+        self._has_other_demand = site.monthly_other_demand is not None
+        if self._has_other_demand:
+            self.open_outputs(_OTHER_DEMAND)
         self.open_weather(look_ahead_ends(site, values["horizon"], values["outlet_horizon"]))
 
     def on_inputs(self) -> None:
@@ -160,6 +163,8 @@ class RecordedWeather(WeatherNode, LockstepNode):
         hour = self._hour
         if hour is None or tick >= hour.until:
             hour = self._hour = self._series.at(tick)
+        if self._has_other_demand:
+            self.publish(_OTHER_DEMAND, hour.other_demand)
         self.publish_weather(
             hour.frost, self._forecast.at(tick), hour.precipitation, hour.evapotranspiration
         )

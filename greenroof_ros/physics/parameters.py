@@ -12,7 +12,6 @@ import math
 from typing import Any, NamedTuple
 
 from greenroof_ros.physics.storm_water import HOUR_S, interval_ticks
-from greenroof_ros.site.demand import other_demand
 from greenroof_ros.site.site import Site
 
 # A short tick: see plant_parameters.
@@ -21,7 +20,7 @@ SHORT_SHARE = 0.01
 """maximum share of the roof's target that pumps at full flow can deliver in a short tick (1)"""
 # Eq. (4) with Euler's method takes no more than this (m) in a tick from a soil at its capacity.
 _MAX_OVERDRAWN_M = 1e-4
-_MONTH_NS = 365 * 86_400 * 10**9 // 12
+_DAY_S = 86_400.0
 
 
 class PlantParameters(NamedTuple):
@@ -113,8 +112,8 @@ class Flows(NamedTuple):
     """part of the outflow that leaves through the low outlet"""
     other: float
     """flow from the cistern to other uses than the roof"""
-    other_mains: float
-    """mains water that other uses take because the cistern has too little"""
+    other_demand: float
+    """water that other uses need, the rest of which is mains water"""
 
 
 def plant_parameters(site: Site) -> PlantParameters:
@@ -134,7 +133,7 @@ def plant_parameters(site: Site) -> PlantParameters:
             site.wilting_volume + site.stress_onset * site.available_volume
             if has_field_capacity else 0.0
         ),
-        "other_demand": float(other_demand(site, 0, _MONTH_NS, 12).mean()),
+        "other_demand": sum(site.monthly_other_demand or ()) / 12 / 1000 / _DAY_S,
         "layer_rate": 1 / (site.layer_storage * (site.drainage_time or 0.0) or math.inf),
         "wet_after_s": site.wet_after * HOUR_S,
         "interval_ticks": interval,

@@ -81,7 +81,7 @@ def step(
         max(0.0, layer + tau * (percolated - drained)),
     )
     return after, Flows(
-        outflow, pump, drained, evaporated, limited or dry, mains, low, other, other_demand - other
+        outflow, pump, drained, evaporated, limited or dry, mains, low, other, other_demand
     )
 
 

@@ -18,7 +18,6 @@ from greenroof_ros.physics.sensor_and_pump import (
 )
 from greenroof_ros.physics.tick import OWN_PUMPS, step
 from greenroof_ros.physics.valve import make_valve, move_valve
-from greenroof_ros.site.demand import other_demand
 from greenroof_ros.site.site import Site
 
 
@@ -65,12 +64,6 @@ class VirtualSite:
         """Whether the current tick is within the site's quiet hours."""
         return self._site.quiet is not None and self._site.quiet.quiet_at(self.time_ns)
 
-    def other_demand(self) -> float:
-        """Return the water that other uses than the roof need in the current tick (m3/s)."""
-        if self._site.monthly_other_demand is None:
-            return 0.0
-        return float(other_demand(self._site, self.time_ns, self._tick_ns, 1)[0])
-
     def levels(self) -> tuple[float, float]:
         """Return the true levels of the cistern and the roof (m).
 
@@ -87,7 +80,7 @@ class VirtualSite:
 
     def act(
         self, precipitation: float, evapotranspiration: float, command: float,
-        pumped: float = OWN_PUMPS, outlet: float = 1.0,
+        pumped: float = OWN_PUMPS, outlet: float = 1.0, other_demand: float = 0.0,
     ) -> Flows:
         """Return the flows in the current tick; must be called exactly once per tick.
 
@@ -97,6 +90,7 @@ class VirtualSite:
             command: command to the pumps (share of the maximum flow).
             pumped: flow (m3/s) of pumps that another program drives; NaN for the site's own pumps.
             outlet: command to the valve of the low outlet (opening, 0 to 1).
+            other_demand: water that other uses than the roof need (m3/s).
         """
         may_run = self.frost == 0 and not self.quiet
         switched = switch_pump(self._switch, command, may_run)
@@ -105,7 +99,7 @@ class VirtualSite:
         self._after, flows = step(
             self._parameters, self.state, precipitation, evapotranspiration, switched,
             move_valve(self._valve, self._parameters.tau, self.outlet), pumped,
-            self.other_demand(),
+            other_demand,
         )
         observe_pump(self._switch, flows.pump)
         return flows

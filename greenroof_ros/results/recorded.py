@@ -11,13 +11,11 @@ from collections.abc import Collection
 
 import numpy as np
 
-from greenroof_ros.base.times import epoch_ns
 from greenroof_ros.physics.cistern import mains_inflow
 from greenroof_ros.physics.parameters import Flows, State, plant_parameters
 from greenroof_ros.physics.soil import flows_in_tick, layer_outflow
 from greenroof_ros.results.metrics import Metrics
 from greenroof_ros.results.trajectory import Trajectory
-from greenroof_ros.site.demand import other_demand
 from greenroof_ros.site.site import Site
 
 # A longer time without samples is a change of the clock; only its part of a day is counted (s).
@@ -32,7 +30,7 @@ _UNKNOWN = {
 }
 _COLUMNS = (
     "cistern", "roof", "precipitation", "evapotranspiration", "command", "pump_flow", "outflow",
-    "drainage", "low_outlet", "other",
+    "drainage", "low_outlet", "other", "other_demand",
 )
 
 
@@ -53,19 +51,14 @@ def compute_results(
     nothing = np.zeros_like(time)
     samples = np.transpose([nothing if each is None else each for each in columns]).tolist()
     metrics = Metrics(site, ticks, trajectory.start.timestamp())
-    layer, start_ns, tick_ns = site.initial_layer, epoch_ns(trajectory.start), round(1e9 * p.tau)
-    demand = other_demand(site, start_ns, tick_ns, ticks).tolist()
-    sampled = np.searchsorted(time[1:-1], (np.arange(ticks) + 0.5) * p.tau).tolist()
-    for i, needed in zip(sampled, demand, strict=True):
-        x1, x2, rain, potential, command, pump, outflow, drainage, low_outlet, other = samples[i]
+    layer = site.initial_layer
+    for i in np.searchsorted(time[1:-1], (np.arange(ticks) + 0.5) * p.tau).tolist():
+        x1, x2, rain, potential, command, pump, outflow, drainage, low_outlet, *other = samples[i]
         percolated, evaporated, _ = flows_in_tick(p, x2, rain * p.a2 + pump, potential)
         mains = mains_inflow(p, x1, outflow + pump - rain * p.effective_catchment, p.tau)
         metrics.add(
             State(x1, x2, layer), command, rain, potential,
-            Flows(
-                outflow, pump, drainage, evaporated, False, mains, low_outlet, other,
-                needed - other,
-            ),
+            Flows(outflow, pump, drainage, evaporated, False, mains, low_outlet, *other),
         )
         drained = layer_outflow(p, layer, percolated, p.tau)
         layer = max(0.0, layer + p.tau * (percolated - drained))

@@ -88,7 +88,7 @@ def add(
         new_day: whether the tick is the first of a day of the site's clock.
     """
     tau, ticks, roof = p.tau, sums[TICKS], state.roof
-    outflow, pump, drainage, evaporated, limited, mains, low_outlet, other, other_mains = flows
+    outflow, pump, drainage, evaporated, limited, mains, low_outlet, other, other_demand = flows
     if ticks == 0:
         sums[FIRST_CISTERN] = state.cistern
     if new_day:
@@ -124,7 +124,7 @@ def add(
     if mains > 0:
         sums[MAINS] += tau * mains
     sums[OTHER] += tau * other
-    sums[OTHER_MAINS] += tau * other_mains
+    sums[OTHER_MAINS] += tau * (other_demand - other)
     sums[LIMITED] += limited
     sums[MAX_COMMAND] = max(sums[MAX_COMMAND], command)
     sums[BEYOND] += command > 1

@@ -69,6 +69,10 @@ COLUMNS = (
         "other_flow_m3_per_s", "flows.other", "other", "/cistern/other_flow",
         "monthly_other_demand",
     ),
+    Column(
+        "other_demand_m3_per_s", "flows.other_demand", "other_demand", "/cistern/other_demand",
+        "monthly_other_demand",
+    ),
 )
 
 
@@ -112,6 +116,7 @@ class Trajectory:
         low_outlet: the part of the outflow through the low outlet (m3/s); None without a valve.
         layer: water in the drainage layer (m3); None without one, or if it was not recorded.
         other: flow from the cistern to other uses than the roof (m3/s); None without any.
+        other_demand: water that other uses need (m3/s); None without any.
     """
 
     start: datetime
@@ -129,6 +134,7 @@ class Trajectory:
     low_outlet: Samples | None = None
     layer: Samples | None = None
     other: Samples | None = None
+    other_demand: Samples | None = None
 
     def to_frame(self) -> polars.DataFrame:
         """Return a table with the time in its zone, in microseconds, and all arrays.

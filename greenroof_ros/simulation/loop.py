@@ -92,7 +92,7 @@ class Simulation:
         forecast, irrigated = run.forecast, run.site.irrigated
         for k in range(run.steps + 1):
             if k == until:
-                precipitation, evapotranspiration, frost, until = run.series.at(k)
+                precipitation, evapotranspiration, frost, other, until = run.series.at(k)
                 site.frost = frost
             if run.site.quiet is not None:
                 set_optional(controller, time_ns=site.time_ns)
@@ -108,7 +108,9 @@ class Simulation:
                 # Also called in frost, because it counts the time without rain.
                 outlet = policy(cistern_level, roof_level, rain, evaporated)
             state = site.state
-            flows = site.act(precipitation, evapotranspiration, command, outlet=outlet)
+            flows = site.act(
+                precipitation, evapotranspiration, command, outlet=outlet, other_demand=other
+            )
             tick = Tick(
                 k, *state, cistern_level, roof_level,
                 precipitation, evapotranspiration, frost, command, flows, site.outlet,

@@ -24,7 +24,6 @@ from greenroof_ros.physics.parameters import plant_parameters
 from greenroof_ros.physics.pump import maximum_pump_flow
 from greenroof_ros.physics.sensor_and_pump import SensorAndPump
 from greenroof_ros.physics.storm_water import HOUR_S, time_without_rain
-from greenroof_ros.site.demand import other_demand
 from greenroof_ros.site.site import Site
 from greenroof_ros.weather.records import Records
 from greenroof_ros.weather.series import Weather, WeatherSeries
@@ -102,10 +101,11 @@ class Run:
             np.frombuffer(values[first:last])
             for values in (series.precipitation, series.evapotranspiration, series.frost)
         )
-        ticks = self.time_ns(first), round(site.tau * 1e9), last - first
         if site.quiet is not None:
-            quiet = site.quiet.quiet_ticks(*ticks)
-        return rain, evapotranspiration, frost != 0, quiet, other_demand(site, *ticks)
+            quiet = site.quiet.quiet_ticks(self.time_ns(first), round(site.tau * 1e9), last - first)
+        needed = series.other_demand_of(site)
+        other = np.zeros(last - first) if needed is None else np.frombuffer(needed[first:last])
+        return rain, evapotranspiration, frost != 0, quiet, other
 
     def count_ticks_between(self, every_s: float) -> int:
         """Return the interval between kept ticks (ticks) for a given time (s), rounded."""

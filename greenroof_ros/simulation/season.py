@@ -84,9 +84,10 @@ class Case(NamedTuple):
 KEPT = (
     "cistern", "roof", "precipitation", "evapotranspiration", "command", "pump_flow", "outflow",
     "drainage", "frost", "layer", "outlet", "low_outlet", "other",
+    "other_demand",
 )
 """values that are kept of a tick, under their names and in the order of :data:`.COLUMNS`"""
-ALL_KEPT = (*KEPT, "evaporated", "limited", "mains", "other_mains")
+ALL_KEPT = (*KEPT, "evaporated", "limited", "mains")
 """values that are kept of a tick where all flows are wanted"""
 _KEPT = len(KEPT)
 
@@ -228,12 +229,11 @@ def run_ticks(
                 values[:_KEPT] = (
                     now.cistern, now.roof, falls, demand, command, flows.pump, flows.outflow,
                     flows.drainage, 1.0 if frozen else 0.0, now.layer, outlet, flows.low_outlet,
-                    flows.other,
+                    flows.other, flows.other_demand,
                 )
                 if len(values) > _KEPT:
                     values[_KEPT:] = (
                         flows.evapotranspiration, 1.0 if flows.limited else 0.0, flows.mains,
-                        flows.other_mains,
                     )
             if k == steps:
                 break

@@ -81,7 +81,8 @@ class Cistern:
     monthly_other_demand: tuple[float, ...] | None = entry(
         "mean of the water that other uses than the roof need in each month, such as toilets or a "
         "garden, in a list from January to December; drawn from the cistern after the pump, down "
-        "to the level at which the pumps stop, while the mains supply the rest", 0.0, 1e6,
+        "to the level at which the pumps stop, while the mains supply the rest; a column 'other "
+        "demand' of the weather replaces the list", 0.0, 1e6,
         unit="l/day", default=None,
     )
     drainage_to_cistern: float = entry(

@@ -16,6 +16,7 @@ HUMIDITY = "relative humidity"
 DEW_POINT = "dew point"
 WIND = "wind speed"
 PRESSURE = "station pressure"
+OTHER_DEMAND = "other demand"
 
 FOR_EVAPOTRANSPIRATION = (TEMPERATURE, DEW_POINT, WIND, PRESSURE)
 """the quantities from which evapotranspiration is computed if a file lacks it"""
@@ -58,6 +59,7 @@ WEATHER = {
     PRESSURE: Quantity("kPa", 50.0, 110.0, ("pressure",)),
     RADIATION: Quantity("W/m2", -15.0, 2000.0, ("power", "energy")),
     HUMIDITY: Quantity("%", 0.0, 105.0, ("percentage",)),
+    OTHER_DEMAND: Quantity("l/h", 0.0, 1e5, ("water",)),
 }
 ROOF = {
     "minimum temperature": Quantity("degC", -90.0, 60.0, ("temperature",)),
@@ -75,6 +77,7 @@ QUANTITIES = {**WEATHER, **ROOF}
 _UNITS = {
     "depth": {"mm": 1.0, "cm": 0.1, "in": 1 / 25.4, "l/m2": 1.0},
     "volume": {"l": 1.0, "m3": 0.001},
+    "water": {"l": 1.0, "m3": 0.001},
     "energy": {"Wh/m2": 1.0, "kJ/m2": 3.6, "MJ/m2": 0.0036, "J/cm2": 0.36},
     "power": {"W/m2": 1.0, "kW/m2": 0.001},
     "temperature": {"degC": 1.0, "degF": 1.8, "K": 1.0},
@@ -85,7 +88,7 @@ _UNITS = {
     "length": {"m": 1.0, "cm": 100.0, "mm": 1000.0},
 }
 # Amounts are totals in the interval of a row or, with "/" and a time, rates.
-_AMOUNTS = "depth", "volume", "energy"
+_AMOUNTS = "depth", "volume", "water", "energy"
 _HOURS = {"s": 1 / 3600, "min": 1 / 60, "h": 1.0, "day": 24.0}
 _ZEROS = {"degF": 32.0, "K": 273.15}
 # Other ways to write units.

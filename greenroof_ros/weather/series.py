@@ -26,6 +26,7 @@ from greenroof_ros.weather.evapotranspiration import COMPUTED, FAO56
 from greenroof_ros.weather.quantities import (
     EVAPOTRANSPIRATION,
     FOR_EVAPOTRANSPIRATION,
+    OTHER_DEMAND,
     PRECIPITATION,
     TEMPERATURE,
 )
@@ -143,6 +144,8 @@ class Hour(NamedTuple):
     """evapotranspiration of the whole bed (m3/s)"""
     frost: float
     """1 during frost, otherwise 0"""
+    other_demand: float
+    """water that other uses than the roof need (m3/s)"""
     until: int
     """the tick until which these values hold"""
 
@@ -198,6 +201,8 @@ class WeatherSeries:
         self.precipitation = rain_per_tick(part, offset_ns, tick_ns, ticks)
         depth = np.maximum(part.evapotranspiration, 0.0)  # dew does not count
         self.evapotranspiration = replace(self.frost, values=depth / 1000 / 86400 * site.a2)
+        self._part = part
+        self._other_demand = self.other_demand_of(site)
         # From tick 0 to the end of tick N-1; the window after it is not part of the run.
         run = self.frost.step(steps - 1) + 1  # hours
         begins = self.frost.first_tick(np.arange(1, run))
@@ -236,6 +241,22 @@ class WeatherSeries:
         """What the records contain in the hours of the run; see :func:`.summary.summarize`."""
         return summarize(*self._summarized)
 
+    def other_demand_of(self, site: Site) -> PerTick | None:
+        """Return what other uses than the roof of a site need (m3/s) in every tick; None for none.
+
+        The values are from the column of the weather or, without one, those of the site for the
+        months, which begin at midnight of standard time.
+        """
+        if site.monthly_other_demand is None:
+            return None
+        litres = self._part.values.get(OTHER_DEMAND)
+        if litres is None:
+            first = self._part.first.timestamp() + 3600 * site.clock_offset
+            seconds = int(first) + 3600 * np.arange(self._part.hours)
+            months = seconds.astype("datetime64[s]").astype("datetime64[M]").astype(np.intp) % 12
+            litres = np.array(site.monthly_other_demand)[months] / 24
+        return replace(self.frost, values=litres / 1000 / 3600)
+
     def at(self, tick: int) -> Hour:
         """Return the weather of a tick, and the tick until which it remains constant."""
         until = min(
@@ -244,6 +265,7 @@ class WeatherSeries:
         )
         return Hour(
             self.precipitation[tick], self.evapotranspiration[tick], self.frost[tick],
+            0.0 if self._other_demand is None else self._other_demand[tick],
             int(until) if tick < until else len(self.precipitation),
         )
 
@@ -281,7 +303,8 @@ def _check_hours(weather: Weather, hours: NDArray[np.int64]) -> None:
     unknown = hours[np.isnan(weather.evapotranspiration[hours])]
     sources = FOR_EVAPOTRANSPIRATION if weather.method == FAO56 else ()
     for needed, quantities in (
-        (hours, (PRECIPITATION, TEMPERATURE)), (unknown, (*sources, EVAPOTRANSPIRATION)),
+        (hours, (PRECIPITATION, TEMPERATURE, OTHER_DEMAND)),
+        (unknown, (*sources, EVAPOTRANSPIRATION)),
     ):
         for quantity in filter(weather.values.__contains__, quantities):
             _refuse_missing(weather, quantity, needed, way_out)

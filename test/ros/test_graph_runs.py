@@ -29,7 +29,9 @@ COLUMNS = {
     "/roof/drainage": "drainage_m3_per_s",
 }
 OF_VALVE = {"/outlet/command": "outlet_command", "/outlet/flow": "low_outlet_flow_m3_per_s"}
-OF_OTHER = {"/cistern/other_flow": "other_flow_m3_per_s"}
+OF_OTHER = {
+    "/cistern/other_flow": "other_flow_m3_per_s", "/cistern/other_demand": "other_demand_m3_per_s",
+}
 # What the two runs may differ in.
 OWN = ("wall_s", "times_real_time", "solver", "messages", "versions")
 

@@ -13,10 +13,12 @@ from hypothesis import strategies as st
 from paper import run_in, weather_of
 from places import CONFIG
 
+import greenroof_ros as gr
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.simulation.bound import bound_discharge
 from greenroof_ros.simulation.loop import simulate
 from greenroof_ros.site.file import read_site
+from greenroof_ros.site.site import Site
 
 # The pumps stop at 0.05 m, which are 0.25 m3.
 HOUSE = CONFIG / "site_valve.yaml"
@@ -53,6 +55,23 @@ def test_demand_of_each_month() -> None:
     assert ticks is not None and ticks.other is not None
     assert metrics["other_m3"] == pytest.approx(0.4)
     np.testing.assert_allclose(ticks.other[[0, 143, 144, 287]] * 86400, [0.1, 0.1, 0.3, 0.3])
+
+
+def test_demand_of_a_column(tmp_path: Path) -> None:
+    """It replaces that of the site; without the site's key, other uses draw nothing."""
+    rows = [f"2021-07-01T{hour:02}:00Z,0,2,{hour}" for hour in range(24)]
+    header = "time,precipitation [mm/h],evapotranspiration [mm/day],other demand [l/h]"
+    file = tmp_path / "weather.csv"
+    file.write_text("\n".join([header, *rows, ""]))
+
+    def run(site: Site) -> dict[str, float]:
+        return gr.simulate(
+            "onoff", site=site, weather=file, start="2021-07-01T00:00Z", outlet="closed", hours=23,
+        ).metrics
+
+    drawn = run(read_site(HOUSE, {"other_demand": 1.0}))
+    assert drawn["other_m3"] == pytest.approx(sum(range(23)) / 1000)
+    assert "other_m3" not in run(read_site(HOUSE))
 
 
 @settings(max_examples=15, deadline=None)
