@@ -7,60 +7,52 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+import altair as alt
 import numpy as np
+import polars as pl
 
-from greenroof_ros.analysis.tables import Column, Table, format_number, format_share
-from greenroof_ros.base.errors import ConfigurationError, describe_choices, require_extra
+from greenroof_ros.analysis.figures import COLOURS, Figure, Panel
+from greenroof_ros.analysis.page import Section, claim_output, make_page, write_output
+from greenroof_ros.analysis.tables import Table, format_number
+from greenroof_ros.base.errors import ConfigurationError, describe_choices
 from greenroof_ros.base.ranges import Range
-from greenroof_ros.controllers.outlet import CLOSED, DRAIN, PLAN, POLICIES
 from greenroof_ros.controllers.registry import find_controller
 from greenroof_ros.physics.storm_water import connected_area
-from greenroof_ros.results.forked_polars import make_frame
 from greenroof_ros.simulation.inputs import make_inputs
 from greenroof_ros.simulation.season import Case, simulate_season
 from greenroof_ros.site.file import check_site
-from greenroof_ros.site.site import WITHOUT_VALVE, Site
-from greenroof_ros.weather.depths import read_depths
-from greenroof_ros.weather.storm import EULER, make_storm
-
-if TYPE_CHECKING:
-    import polars
-
-    from greenroof_ros.analysis.figures import Figure
+from greenroof_ros.site.site import WITHOUT_VALVE
+from greenroof_ros.weather.design_storm import EULER, Depths, make_storm, read_depths
 
 PAGE, TABLE = "storms.html", "storms.csv"
-STATES = WET, DRY = "wet", "dry"
-NO_ROOF, ALONE = "no green roof", "green roof without irrigation"
+HEADINGS = {
+    "return_period_years": "return period (years)", "case": "case", "rain_mm": "rain (mm)",
+    "peak_l_s": "peak (L/s)", "peak_reduction_percent": "peak reduction (%)",
+    "volume_m3": "volume (m³)", "volume_reduction_percent": "volume reduction (%)",
+    "discharge_m3": "in all weather (m³)",
+}
 BEFORE_H, AFTER_H = 48, 72
 """hours without rain before a storm, for which plan looks ahead, and after it"""
-_START = np.datetime64("2001-07-01T00:00", "m")
-_TAU, _RUN_ON_H, _FACTOR = 60.0, 24, Range(0.1, 10.0)
-_COLUMNS = {
-    "return_period_years": Column("return period", "years", format_number),
-    "case": Column("case", ""), "rain_mm": Column("rain", "mm", format_number),
-    "peak_l_s": Column("peak", "L/s", format_number),
-    "peak_reduction": Column("lower peak", "%", format_share),
-    "volume_m3": Column("volume", "m³", format_number),
-    "volume_reduction": Column("lower volume", "%", format_share),
-    "discharge_m3": Column("in all weather", "m³", format_number),
-}
+_START, _RAIN = np.datetime64("2001-07-01T00:00", "m"), "precipitation [mm/h]"
+_RUN_ON_H, _PEAK_MIN = 24, 5
 
 
 def design_storm(
-    depths: str | os.PathLike[str], return_period: float, *, kind: str = EULER,
+    depths: str | os.PathLike[str] | Depths, return_period: float, *, kind: str = EULER,
     duration: int = 120, step: int = 5, peak: float | None = None, rain_factor: float = 1.0,
-) -> polars.DataFrame:
-    """Return a design storm as weather, which ``gr.simulate`` and ``write_csv`` take.
+) -> pl.DataFrame:
+    """Return a design storm as weather, which ``gr.simulate`` takes.
 
     The storm begins on 3 July 2001 at 00:00, after 48 hours without rain, and 72 hours without rain
     follow it. Nothing evaporates.
 
     Args:
-        depths: file of depths by duration and return period, see :mod:`.weather.depths`.
+        depths: file of depths by duration and return period, see :mod:`.weather.design_storm`, or
+            its content.
         return_period: return period (years).
-        kind: ``"block"``, ``"euler"`` (type II) or ``"chicago"``, see :mod:`.weather.storm`.
+        kind: ``"block"``, ``"euler"`` (type II) or ``"chicago"``, see :mod:`.weather.design_storm`.
         duration: duration of the storm (min).
         step: duration of a step (min), which divides an hour.
         peak: position of the peak as a share of the duration; by default, 0.3 for ``"euler"`` and
@@ -68,23 +60,21 @@ def design_storm(
         rain_factor: factor by which all rain is multiplied, such as 1.2 for a future climate.
 
     Raises:
-        ConfigurationError: if an input or the file is invalid, or polars is not installed.
+        ConfigurationError: if an input or the file is invalid.
 
     Example:
         >>> import greenroof_ros as gr
-        >>> gr.design_storm("depths.yaml", 10, duration=60)  # doctest: +SKIP
+        >>> storm = gr.design_storm("depths.yaml", 10, duration=60)  # doctest: +SKIP
+        >>> storm.write_csv("storm.csv")  # doctest: +SKIP
     """
-    factor = _FACTOR.read(rain_factor, key="rain_factor")
-    rain = factor * make_storm(
-        read_depths(Path(depths)), return_period, kind, duration, step, peak
-    )
-    rates = np.pad(rain * 60 / step, [
-        (BEFORE_H * 60 // step, (-duration % 60 + 60 * AFTER_H) // step)
-    ])
-    return make_frame({
-        "time": (_START + step * np.arange(len(rates))).astype(str),
-        "precipitation [mm/h]": rates,
-        "assumed evapotranspiration [mm/day]": np.zeros(len(rates)),
+    factor = Range(0.1, 10.0).read(rain_factor, key="rain_factor")
+    source = depths if isinstance(depths, Depths) else read_depths(Path(depths))
+    rain = make_storm(source, return_period, kind, duration, step, peak)
+    dry = BEFORE_H * 60 // step, (-duration % 60 + 60 * AFTER_H) // step
+    rates = np.pad(factor * rain * 60 / step, dry)
+    times = (_START + step * np.arange(len(rates))).astype(str)
+    return pl.DataFrame({
+        "time": times, _RAIN: rates, "assumed evapotranspiration [mm/day]": 0.0 * rates,
     })
 
 
@@ -97,54 +87,56 @@ class Storms:
             the volume the discharge, from the first rain to the end of wet weather. The reductions
             are relative to the same area without a green roof and a cistern. ``discharge_m3`` is
             the discharge of the whole run, with what a valve releases before the storm.
+        sentence: the result of the last case in the last storm.
         notes: what the results rest on.
     """
 
-    table: polars.DataFrame
+    table: pl.DataFrame
+    sentence: str
     notes: Sequence[str]
 
     @property
     def shown(self) -> Table:
-        """The table as people read it."""
-        return Table("Discharge to the sewer", [*_COLUMNS.values()], self.table.rows())
+        """The table for people."""
+        return Table("Discharge to the sewer", [*HEADINGS.values()], [
+            [each if isinstance(each, str) else format_number(each) for each in row]
+            for row in self.table.rows()
+        ])
 
-    def plot(self) -> Any:
-        """Return a chart of the peaks and volumes."""
-        return self._draw().chart()
-
-    def _draw(self) -> Figure:
-        with require_extra("study"):
-            import altair as alt
-
-            from greenroof_ros.analysis.figures import COLOURS, Figure, Panel
+    def draw(self) -> Figure:
+        """Return the picture of the peaks and volumes; its ``chart()`` is for a notebook."""
         cases = self.table["case"].unique(maintain_order=True).to_list()
         base = alt.Chart(alt.NamedData("storms")).mark_bar().encode(
-            x=alt.X("return_period_years:O", title="return period (years)"),
+            x=alt.X("return_period_years:O", title=HEADINGS["return_period_years"]),
             xOffset=alt.XOffset("case:N", sort=cases),
             color=alt.Color("case:N", title=None, scale=alt.Scale(domain=cases, range=[*COLOURS])),
         )
-        panels = [
-            Panel(base.encode(y=alt.Y(f"{name}:Q", title=None)), _COLUMNS[name].heading)
+        first, second = (
+            Panel(base.encode(y=alt.Y(f"{name}:Q", title=None)), HEADINGS[name])
             for name in ("peak_l_s", "volume_m3")
-        ]
-        return Figure("storms", "Design storms", "", (*panels,), 2, {"storms": self.table.to_dicts()})
+        )
+        data = {"storms": self.table.to_dicts()}
+        return Figure("storms", "Design storms", "", (first, second), 2, data)
 
     def save(self, directory: str | os.PathLike[str]) -> Path:
-        """Write the page, the table and the picture to a folder, and return the page."""
-        with require_extra("study"):
-            from greenroof_ros.analysis.page import Section, claim_output, make_page, write_output
-        claim_output(Path(directory), PAGE, [TABLE])
-        figure, answer = self._draw(), self.notes[0]
-        html = make_page("Design storms", answer, [
+        """Write the page, the table and the picture to a folder, and return the page.
+
+        Raises:
+            ConfigurationError: if the folder contains anything but an earlier result.
+        """
+        figure, folder = self.draw(), Path(directory)
+        claim_output(folder, PAGE, [TABLE])
+        html = make_page("Peaks and volumes of design storms", self.sentence, [
             Section("Peaks and volumes", [self.shown, figure]),
-            Section("What it rests on", [self.notes[1:]]),
+            Section("What it rests on", [self.notes]),
         ])
-        return write_output(Path(directory), PAGE, html, [figure], {TABLE: self.table.write_csv()})
+        return write_output(folder, PAGE, html, [figure], {TABLE: self.table.write_csv()})
 
 
 def storms(
     site: Any, depths: str | os.PathLike[str], *, return_periods: Sequence[float] = (2, 10, 100),
-    outlets: Sequence[str] | None = None, state: str = WET, filled: float = 1.0, **storm: Any,
+    outlets: Sequence[str] = ("closed", "drain", "plan"), state: str = "wet", filled: float = 1.0,
+    duration: int = 120, step: int = 5, **storm: Any,
 ) -> Storms:
     """Compute peak and volume of design storms, like ``greenroof storm --run``.
 
@@ -154,18 +146,18 @@ def storms(
 
     Args:
         site: site file, or a site from ``gr.read_site``.
-        depths: file of depths by duration and return period, see :mod:`.weather.depths`.
+        depths: file of depths by duration and return period, see :mod:`.weather.design_storm`.
         return_periods: return periods (years).
-        outlets: policies of the outlet valve; by default ``("closed", "drain", "plan")``, and none
-            at a site without a valve.
-        state: roof and drainage layer 48 hours before the storm. ``"wet"``: at field capacity;
-            ``"dry"``: a roof with irrigation at its target, and one without at the wilting point.
+        outlets: policies of the outlet valve, which are not used at a site without a valve.
+        state: roof 48 hours before the storm. ``"wet"``: at field capacity; ``"dry"``: a roof with
+            irrigation at its target, and one without at the wilting point.
         filled: share of the cistern that is full 48 hours before the storm.
-        storm: ``kind``, ``duration``, ``step``, ``peak`` and ``rain_factor`` of
-            :func:`design_storm`.
+        duration: duration of the storm (min).
+        step: duration of a step (min), which divides an hour.
+        storm: ``kind``, ``peak`` and ``rain_factor`` of :func:`design_storm`.
 
     Returns:
-        The results: ``.table``, ``.plot()`` and ``.save(directory)``, which writes a page.
+        The results: ``.table``, ``.draw()`` and ``.save(directory)``, which writes a page.
 
     Raises:
         ConfigurationError: if an input is invalid.
@@ -174,51 +166,52 @@ def storms(
         >>> import greenroof_ros as gr
         >>> gr.storms("config/site_valve.yaml", "depths.yaml").table  # doctest: +SKIP
     """
-    control = find_controller("onoff")
-    house = replace(make_inputs(control, {"site": site}).read_site(), tau=_TAU, M=1)
-    if state not in STATES:
-        raise ConfigurationError(describe_choices(STATES, state), key="state", value=state)
-    if outlets is None:
-        outlets = (CLOSED, DRAIN, PLAN) if house.low_outlet_valve else ()
-    full = Range(0.0, 1.0).read(filled, key="filled") * house.a1 * house.z_o
+    control, source = find_controller("onoff"), read_depths(Path(depths))
+    house = replace(make_inputs(control, {"site": site}).read_site(), tau=60.0, M=1)
+    states = {"wet": (house.z_cap,) * 2, "dry": (house.x2_star, house.wilting_volume)}
+    if state not in states:
+        raise ConfigurationError(describe_choices(states, state), key="state", value=state)
+    x1, (x2, bare) = filled * house.a1 * house.z_o, states[state]
     alone = check_site(replace(
         house, irrigation="none", a_in=1e-9, drainage_to_cistern=0.0, **WITHOUT_VALVE,
         **dict.fromkeys(("low_outlet_level", "low_outlet_radius", "mains_level", "mains_flow")),
     ))
-    wet, dry = (house.z_cap, house.z_cap), (house.x2_star, house.wilting_volume)
-    roof, bare = wet if state == WET else dry
-    cases = {ALONE: (alone, {}, 0.0, bare)} | (
-        {f"valve: {each}": (house, {"outlet": each}, full, roof) for each in outlets}
-        or {"green roof and cistern": (house, {}, full, roof)}
-    )
-    rows = []
+    chosen = {f"valve: {each}": {"outlet": each} for each in outlets}
+    if not house.low_outlet_valve:
+        chosen = {"green roof and cistern": {}}
+    cases = {"green roof without irrigation": (alone, {}, 0.0, bare)}
+    cases |= {case: (house, given, x1, x2) for case, given in chosen.items()}
+    hours, rows = BEFORE_H + math.ceil(duration / 60) + _RUN_ON_H, list[dict[str, Any]]()
+    wet = slice(60 * BEFORE_H, 60 * BEFORE_H + duration + round(60 * house.wet_after))
     for period in return_periods:
-        weather = design_storm(depths, period, **storm)
-        duration, step = storm.get("duration", 120), storm.get("step", 5)
-        rain = np.repeat(weather["precipitation [mm/h]"].to_numpy(), step) / 60_000
-        hours = BEFORE_H + math.ceil(duration / 60) + _RUN_ON_H
+        weather = design_storm(source, period, duration=duration, step=step, **storm)
+        rain = np.repeat(weather[_RAIN].to_numpy(), step)[: 60 * hours] / 60_000
         run = make_inputs(control, {
-            "site": house, "weather": weather, "start": str(_START), "hours": hours,
-            "cistern": full, "roof": roof,
+            "site": house, "weather": weather, "start": _START, "hours": hours, "initial": (x1, x2),
         }).build()
         _, made = simulate_season([
-            Case(one, control.complete_parameters(one, given), run, x1, x2, group=n)
-            for n, (one, given, x1, x2) in enumerate(cases.values())
+            Case(each, control.complete_parameters(each, given), run, *volumes, group=group)
+            for group, (each, given, *volumes) in enumerate(cases.values())
         ])
-        rain = rain[: 60 * hours]
-        flows = {NO_ROOF: connected_area(house) * rain} | dict(zip(cases, made[:, 0], strict=True))
-        flows[ALONE] = flows[ALONE] + house.effective_catchment * rain
-        first = 60 * BEFORE_H
-        during = slice(first, first + duration + round(60 * house.wet_after))
-        volumes = {case: flow[during].sum() for case, flow in flows.items()}
-        peaks = {
-            case: np.convolve(flow[during], np.ones(5), "valid").max() / 0.3
-            for case, flow in flows.items()
-        }
-        rows += [{
-            "return_period_years": period, "case": case, "rain_mm": 1000 * rain.sum(),
-            "peak_l_s": peaks[case], "peak_reduction": 1 - peaks[case] / peaks[NO_ROOF],
-            "volume_m3": volumes[case], "volume_reduction": 1 - volumes[case] / volumes[NO_ROOF],
-            "discharge_m3": flows[case].sum(),
-        } for case in flows]
-    return Storms(make_frame(rows), [read_depths(Path(depths)).note])
+        made[0, 0] += house.effective_catchment * rain
+        flows = np.vstack((connected_area(house) * rain, made[:, 0]))
+        fives = [np.convolve(flow[wet], np.ones(_PEAK_MIN), "valid") for flow in flows]
+        peaks = np.max(fives, axis=1) / 0.06 / _PEAK_MIN
+        volumes = flows[:, wet].sum(axis=1)
+        rows += [dict(zip(HEADINGS, values, strict=True)) for values in zip(
+            [float(period)] * len(flows), ["no green roof", *cases],
+            [1000 * rain.sum()] * len(flows), peaks, 100 * (1 - peaks / peaks[0]),
+            volumes, 100 * (1 - volumes / volumes[0]), flows.sum(axis=1), strict=True,
+        )]
+    last = rows[-1]
+    return Storms(pl.DataFrame(rows), (
+        f"In a storm of {last['return_period_years']:g} years, {last['rain_mm']:.0f} mm in "
+        f"{duration} min, the peak is {last['peak_l_s']:.1f} L/s ({last['case']}), "
+        f"{last['peak_reduction_percent']:.0f} % less than without a green roof and a cistern."
+    ), [
+        source.note,
+        f"The state {BEFORE_H} h before a storm: {state} roof, {100 * filled:g} % full cistern. "
+        "Nothing evaporates, and plan has a perfect forecast.",
+        f"Peaks are means of {_PEAK_MIN} min. Peaks and volumes count from the first rain to "
+        f"{house.wet_after:g} h after the last.",
+    ])

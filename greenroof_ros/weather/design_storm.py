@@ -1,4 +1,4 @@
-"""Depths of rain by duration and return period: from a table, a formula, or the site's own record.
+"""Design storms, and the depths of rain by duration and return period on which they rest.
 
 A YAML file describes where they come from, in one of three ways. A table, such as those of KOSTRA,
 NOAA Atlas 14 or Environment and Climate Change Canada, has a row for each duration::
@@ -21,6 +21,17 @@ A record is a weather file with years of rain::
 Between durations, tables are interpolated linearly in the logarithms of duration and depth. Between
 return periods, depths are interpolated linearly in the logarithm of the return period. The depths
 of the entries are exact.
+
+A storm has one of three forms:
+
+- **block**: constant rain.
+- **euler**: Euler's type II (DWA-A 118, 2006, section 5.2.2.1). The increments of the depth in the
+  steps of the storm are sorted. The largest begins at 0.3 of the duration, rounded down to a step.
+  The next smaller ones are before it, up to the beginning of the storm, and the others after it.
+- **chicago**: Keifer and Chu (1957). Every part of the storm that contains the peak, and of which
+  the share ``peak`` is before it, has the depth of its own duration. The default is 0.375, which
+  they found for Chicago. The peak is in the step in which the share ``peak`` of the duration ends,
+  as in programs of practice, so the wettest step has the depth of its duration.
 """
 
 from __future__ import annotations
@@ -57,6 +68,11 @@ _EVERY_MINUTE, _DURATIONS = np.arange(1.0, 1441.0), (5, 10, 15, 30, 60, 120, 360
 # Minimum share of a year for which rain must be known, and minimum number of such years [assumed].
 _ENOUGH, _MIN_YEARS = 0.9, 5
 
+KINDS = BLOCK, EULER, CHICAGO = "block", "euler", "chicago"
+PEAKS = {BLOCK: 0.5, EULER: 0.3, CHICAGO: 0.375}
+"""default position of the peak, as a share of the duration"""
+_ROUNDING = 1e-9
+
 
 @dataclass(frozen=True)
 class DepthFile:
@@ -65,20 +81,15 @@ class DepthFile:
     file: str = entry("the file with the table, beside this file", default="")
     after: str = entry("text in a line above the table, if the file contains more", default="")
     return_periods: tuple[float, ...] = entry(
-        "return periods of the table's columns, from the left, whose further columns are not used; "
-        "or those for which a record is evaluated", 1.01, 1e5, unit="years", default=(),
+        "return periods of the first columns, or those for which a record is evaluated", 1.0, 1e5,
+        unit="years", default=(),
     )
-    unit: str = entry(
-        "unit of the table: of depths, or of intensities", choices=("mm", "in", "mm/h", "in/h"),
-        default="",
-    )
+    unit: str = entry("unit of the table", choices=("mm", "in", "mm/h", "in/h"), default="")
     decimal: str = entry("decimal mark of the table", choices=(".", ","), default=".")
     parameters: dict[float, tuple[float, ...]] = entry(
-        "a, b and c of each return period in years; a / (minutes + b)^c is the intensity in mm/h",
-        0.0, 1e6, factory=dict,
+        "a, b and c of each return period in years", 0.0, 1e6, factory=dict,
     )
-    record: tuple[str, ...] = entry("weather files with years of rain, beside this file",
-                                    default=())
+    record: tuple[str, ...] = entry("weather files, beside this file", default=())
 
 
 @dataclass(frozen=True)
@@ -112,6 +123,49 @@ class Depths:
         return np.asarray(np.exp(line(np.log(minutes))) @ shares)
 
 
+def make_storm(
+    depths: Depths, period: float, kind: str, duration: int, step: int, peak: float | None = None
+) -> Values:
+    """Return the rain in each step of a storm (mm), whose sum is the depth of its duration.
+
+    Args:
+        depths: depths by duration and return period.
+        period: return period (years).
+        kind: one of :data:`KINDS`.
+        duration: duration of the storm (min).
+        step: duration of a step (min).
+        peak: position of the peak as a share of the duration; None for that of :data:`PEAKS`.
+
+    Raises:
+        ConfigurationError: if a value is invalid; its key is that of the value.
+    """
+    low, high = depths.durations[[0, -1]].tolist()
+    if kind not in KINDS:
+        raise ConfigurationError(f"must be one of {', '.join(KINDS)}", key="kind", value=kind)
+    if not step or 60 % step or (kind != BLOCK and step < low):
+        expected = f"must divide an hour; the shortest duration of the table is {low:g} min"
+        raise ConfigurationError(expected, key="step", value=step)
+    if duration % step or not low <= duration <= high:
+        expected = f"must be a multiple of the step, {step} min, from {low:g} to {high:g} min"
+        raise ConfigurationError(expected, key="duration", value=duration)
+    share, count = Range(0.01, 0.99).read(peak or PEAKS[kind], key="peak"), duration // step
+    whole = depths.depth(np.array([float(duration)]), period)
+    if kind == BLOCK or count == 1:
+        return np.repeat(whole / count, count)
+    if kind == EULER:
+        increments = np.diff(depths.depth(step * np.arange(1.0, count + 1), period), prepend=0.0)
+        rain, before = np.sort(increments)[::-1], math.floor(share * count + _ROUNDING)
+        return np.concatenate((rain[before::-1], rain[before + 1:]))
+    before = math.ceil(share * count - _ROUNDING) - 1
+    earlier = step * (np.arange(before + 1) / share + 1)
+    later = step * (np.arange(count - before) / (1 - share) + 1)
+    rising, falling = (depths.depth(each, period) for each in (earlier, later))
+    # Both begin with the wettest step. The others are scaled, by a thousandth, to the whole depth.
+    others = np.concatenate((share * np.diff(rising)[::-1], (1 - share) * np.diff(falling)))
+    scaled = others * (whole - rising[0]) / others.sum()
+    return np.insert(scaled, before, rising[0])
+
+
 def read_depths(path: Path) -> Depths:
     """Read a file of depths.
 
@@ -135,8 +189,8 @@ def _find_mistakes(stated: DepthFile, _: YamlMapping) -> Iterator[tuple[str, str
     if [*map(bool, (stated.file, stated.parameters, stated.record))].count(True) != 1:
         yield "file", "must be stated, or else parameters or record, but only one of these three"
     periods = [*stated.return_periods, *sorted(stated.parameters)]
-    if not periods or periods != sorted({*periods}):
-        yield "return_periods", "must be stated, in ascending order"
+    if not periods or periods != sorted({*periods}) or (stated.record and periods[0] <= 1):
+        yield "return_periods", "must be stated, in ascending order, and above 1 for a record"
     if any(len(abc) != 3 for abc in stated.parameters.values()):
         yield "parameters", "must contain a, b and c for each return period"
     if stated.file and not stated.unit:
@@ -148,7 +202,7 @@ def _read_table(file: Path, stated: DepthFile) -> Depths:
     lines, count = enumerate(read_lines(file), start=1), len(stated.return_periods)
     if stated.after and not any(stated.after in text for _, text in lines):
         raise ConfigurationError("must occur in a line", file=file, key="after", value=stated.after)
-    rows: list[list[float]] = [[0.0] * (count + 1)]
+    rows = [[1e-9] * (count + 1)]
     for number, text in lines:
         if not (match := _ROW.match(text.replace(stated.decimal, "."))):
             continue
@@ -158,8 +212,8 @@ def _read_table(file: Path, stated: DepthFile) -> Depths:
         per_ours = find_unit(PRECIPITATION, stated.unit, minutes / 60, 1.0).per_ours
         cells = _NUMBER.findall(match[3])[:count]
         row = [minutes, *(minutes / 60 * float(cell) / per_ours for cell in cells)]
-        if not np.greater(row, rows[-1][: len(row)]).all() or len(cells) < count:
-            expected = f"must have {count} values in {stated.unit}, with depths that increase"
+        if not np.greater_equal(row, rows[-1][: len(row)]).all() or len(cells) < count:
+            expected = f"must have {count} values in {stated.unit}, and depths must not decrease"
             raise ConfigurationError(expected, file=file, line=number, value=text.strip())
         rows.append(row)
     if len(rows) < 3:
