@@ -20,27 +20,26 @@ from greenroof_ros.base.errors import ConfigurationError, describe_choices
 from greenroof_ros.base.ranges import Range
 from greenroof_ros.controllers.registry import find_controller
 from greenroof_ros.physics.storm_water import connected_area
+from greenroof_ros.simulation import loop
 from greenroof_ros.simulation.inputs import make_inputs
-from greenroof_ros.simulation.season import Case, simulate_season
 from greenroof_ros.site.file import check_site
-from greenroof_ros.site.site import WITHOUT_VALVE
-from greenroof_ros.weather.design_storm import EULER, Depths, make_storm, read_depths
+from greenroof_ros.site.site import WITHOUT_VALVE, Site
+from greenroof_ros.weather.design_storm import Depths, make_storm, read_depths
 
 PAGE, TABLE = "storms.html", "storms.csv"
 HEADINGS = {
-    "return_period_years": "return period (years)", "case": "case", "rain_mm": "rain (mm)",
-    "peak_l_s": "peak (L/s)", "peak_reduction_percent": "peak reduction (%)",
-    "volume_m3": "volume (m³)", "volume_reduction_percent": "volume reduction (%)",
-    "discharge_m3": "in all weather (m³)",
+    "case": "case", "return_period_years": "years", "rain_mm": "rain (mm)",
+    "peak_l_s": "peak (L/s)", "peak_reduction_percent": "less (%)", "volume_m3": "volume (m³)",
+    "volume_reduction_percent": "less (%)", "discharge_m3": "in all weather (m³)",
 }
 BEFORE_H, AFTER_H = 48, 72
 """hours without rain before a storm, for which plan looks ahead, and after it"""
 _START, _RAIN = np.datetime64("2001-07-01T00:00", "m"), "precipitation [mm/h]"
-_RUN_ON_H, _PEAK_MIN = 24, 5
+_RUN_ON_H, _TINY_M2 = 24, 0.01
 
 
 def design_storm(
-    depths: str | os.PathLike[str] | Depths, return_period: float, *, kind: str = EULER,
+    depths: str | os.PathLike[str] | Depths, return_period: float, *, kind: str = "euler",
     duration: int = 120, step: int = 5, peak: float | None = None, rain_factor: float = 1.0,
 ) -> pl.DataFrame:
     """Return a design storm as weather, which ``gr.simulate`` takes.
@@ -67,7 +66,7 @@ def design_storm(
         >>> storm = gr.design_storm("depths.yaml", 10, duration=60)  # doctest: +SKIP
         >>> storm.write_csv("storm.csv")  # doctest: +SKIP
     """
-    factor = Range(0.1, 10.0).read(rain_factor, key="rain_factor")
+    factor = Range(0.5, 3.0).read(rain_factor, key="rain_factor")
     source = depths if isinstance(depths, Depths) else read_depths(Path(depths))
     rain = make_storm(source, return_period, kind, duration, step, peak)
     dry = BEFORE_H * 60 // step, (-duration % 60 + 60 * AFTER_H) // step
@@ -99,15 +98,15 @@ class Storms:
     def shown(self) -> Table:
         """The table for people."""
         return Table("Discharge to the sewer", [*HEADINGS.values()], [
-            [each if isinstance(each, str) else format_number(each) for each in row]
-            for row in self.table.rows()
+            [case, *(format_number(round(each, 3) + 0.0) for each in values)]
+            for case, *values in self.table.rows()
         ])
 
     def draw(self) -> Figure:
         """Return the picture of the peaks and volumes; its ``chart()`` is for a notebook."""
         cases = self.table["case"].unique(maintain_order=True).to_list()
         base = alt.Chart(alt.NamedData("storms")).mark_bar().encode(
-            x=alt.X("return_period_years:O", title=HEADINGS["return_period_years"]),
+            x=alt.X("return_period_years:O", title="return period (years)"),
             xOffset=alt.XOffset("case:N", sort=cases),
             color=alt.Color("case:N", title=None, scale=alt.Scale(domain=cases, range=[*COLOURS])),
         )
@@ -166,52 +165,53 @@ def storms(
         >>> import greenroof_ros as gr
         >>> gr.storms("config/site_valve.yaml", "depths.yaml").table  # doctest: +SKIP
     """
-    control, source = find_controller("onoff"), read_depths(Path(depths))
+    source, control = read_depths(Path(depths)), find_controller("onoff")
     house = replace(make_inputs(control, {"site": site}).read_site(), tau=60.0, M=1)
-    states = {"wet": (house.z_cap,) * 2, "dry": (house.x2_star, house.wilting_volume)}
+    full, without = filled * house.a1 * house.z_o, _remove_cistern(house)
+    states = {"wet": (house.z_cap, house.z_cap), "dry": (house.x2_star, house.wilting_volume)}
     if state not in states:
         raise ConfigurationError(describe_choices(states, state), key="state", value=state)
-    x1, (x2, bare) = filled * house.a1 * house.z_o, states[state]
-    alone = check_site(replace(
-        house, irrigation="none", a_in=1e-9, drainage_to_cistern=0.0, **WITHOUT_VALVE,
-        **dict.fromkeys(("low_outlet_level", "low_outlet_radius", "mains_level", "mains_flow")),
-    ))
-    chosen = {f"valve: {each}": {"outlet": each} for each in outlets}
-    if not house.low_outlet_valve:
-        chosen = {"green roof and cistern": {}}
-    cases = {"green roof without irrigation": (alone, {}, 0.0, bare)}
-    cases |= {case: (house, given, x1, x2) for case, given in chosen.items()}
-    hours, rows = BEFORE_H + math.ceil(duration / 60) + _RUN_ON_H, list[dict[str, Any]]()
-    wet = slice(60 * BEFORE_H, 60 * BEFORE_H + duration + round(60 * house.wet_after))
+    roof, dry_roof = states[state]
+    cases: dict[str, dict[str, Any]] = {
+        "no irrigation": {"site": without, "initial": (without.a1 * house.z_o, dry_roof)}
+    }
+    for each in outlets if house.low_outlet_valve else ("none",):
+        given = {"outlet": each} if house.low_outlet_valve else {}
+        cases[f"valve: {each}"] = {"site": house, "initial": (full, roof), **given}
+    hours, rows = BEFORE_H + math.ceil(duration / 60) + _RUN_ON_H, list[tuple[Any, ...]]()
     for period in return_periods:
         weather = design_storm(source, period, duration=duration, step=step, **storm)
-        rain = np.repeat(weather[_RAIN].to_numpy(), step)[: 60 * hours] / 60_000
-        run = make_inputs(control, {
-            "site": house, "weather": weather, "start": _START, "hours": hours, "initial": (x1, x2),
-        }).build()
-        _, made = simulate_season([
-            Case(each, control.complete_parameters(each, given), run, *volumes, group=group)
-            for group, (each, given, *volumes) in enumerate(cases.values())
-        ])
-        made[0, 0] += house.effective_catchment * rain
-        flows = np.vstack((connected_area(house) * rain, made[:, 0]))
-        fives = [np.convolve(flow[wet], np.ones(_PEAK_MIN), "valid") for flow in flows]
-        peaks = np.max(fives, axis=1) / 0.06 / _PEAK_MIN
-        volumes = flows[:, wet].sum(axis=1)
-        rows += [dict(zip(HEADINGS, values, strict=True)) for values in zip(
-            [float(period)] * len(flows), ["no green roof", *cases],
-            [1000 * rain.sum()] * len(flows), peaks, 100 * (1 - peaks / peaks[0]),
-            volumes, 100 * (1 - volumes / volumes[0]), flows.sum(axis=1), strict=True,
-        )]
-    last = rows[-1]
-    return Storms(pl.DataFrame(rows), (
-        f"In a storm of {last['return_period_years']:g} years, {last['rain_mm']:.0f} mm in "
-        f"{duration} min, the peak is {last['peak_l_s']:.1f} L/s ({last['case']}), "
-        f"{last['peak_reduction_percent']:.0f} % less than without a green roof and a cistern."
+        flows = list[tuple[Any, ...]]()
+        for case, inputs in cases.items():
+            run = make_inputs(control, {
+                "weather": weather, "start": _START, "hours": hours, **inputs
+            }).build()
+            summary, _ = loop.simulate(run)
+            event = summary["events"][0]
+            flows.append((
+                case, period, event["rain_mm"], event["peak_l_s"], 100 * event["peak_reduction"],
+                event["wet_discharge_m3"], 100 * event["volume_reduction"], summary["discharge_m3"],
+            ))
+        area, fallen = connected_area(house), event["rain_mm"]
+        peak, volume = area * event["max_rain_5min_mm_h"] / 3600, area * fallen / 1000
+        rows += [("no green roof", period, fallen, peak, 0.0, volume, 0.0, volume), *flows]
+    case, period, fallen, peak, less, *_ = rows[-1]
+    return Storms(pl.DataFrame(rows, [*HEADINGS], orient="row"), (
+        f"In a storm of {period:g} years, {fallen:.0f} mm in {duration} min, the peak is "
+        f"{peak:.1f} L/s ({case}), {less:.0f} % less than without a green roof and a cistern."
     ), [
         source.note,
         f"The state {BEFORE_H} h before a storm: {state} roof, {100 * filled:g} % full cistern. "
         "Nothing evaporates, and plan has a perfect forecast.",
-        f"Peaks are means of {_PEAK_MIN} min. Peaks and volumes count from the first rain to "
+        "Peaks are means of 5 min. Peaks and volumes count from the first rain to "
         f"{house.wet_after:g} h after the last.",
     ])
+
+
+def _remove_cistern(site: Site) -> Site:
+    """Return a site whose green roof is not irrigated, and whose tiny cistern overflows at once."""
+    return check_site(replace(
+        site, irrigation="none", a1=_TINY_M2, initial_cistern=None, initial_roof=None,
+        low_outlet_level=None, low_outlet_radius=None, mains_level=None, mains_flow=None,
+        **WITHOUT_VALVE,
+    ))

@@ -16,7 +16,7 @@ a file of depths for the table beside it (mm or in; mm/h or in/h for intensities
 Examples:
   greenroof storm --depths idf.yaml --return-periods 10 --kind block --duration 60 > storm.csv
   greenroof storm --depths idf.yaml --site config/site_valve.yaml --kind chicago --run
-  greenroof storm --depths idf.yaml --site my_site.yaml --rain-factor 1.2 --run --output future
+  greenroof storm --depths idf.yaml --site my_site.yaml --rain-factor 1.2 --run future
   greenroof simulate --weather storm.csv --start 2001-07-01 --hours 74
 
 Exit codes: 0 done, 2 bad usage, configuration or file
@@ -53,8 +53,6 @@ def make_parser() -> Parser:
         ("state", str, "wet", "with --run: the roof 48 hours before the storm. wet: at field "
          "capacity; dry: at its target if it is irrigated, or else at the wilting point"),
         ("filled", share, 1.0, "with --run: share of the cistern that is full at that time"),
-        ("output", Path, Path("storms"), "with --run: folder for the page, the table and the "
-         "picture, which may be new or empty, or contain earlier ones"),
     ):
         about += f" (default: {default})" if default else ""
         parser.add_argument(option_of(name), type=kind, default=default, metavar="X", help=about)
@@ -63,7 +61,11 @@ def make_parser() -> Parser:
         metavar="YEARS", help="return periods; one without --run (default: 2 10 100)",
     )
     parser.add_argument("--depths", type=Path, required=True, metavar="FILE", help="file of depths")
-    parser.add_argument("--run", action="store_true", help="compute the discharge of the site")
+    parser.add_argument(
+        "--run", type=Path, nargs="?", const=Path("storms"), metavar="DIR",
+        help="compute the discharge of the site, and write a page, a table and a picture to DIR, "
+        "which may be new or empty, or may contain earlier ones (default: storms)",
+    )
     add_site(parser)
     return parser
 
@@ -72,7 +74,7 @@ def make_parser() -> Parser:
 def main() -> None:
     """Make the storms named on the command line."""
     given: dict[str, Any] = vars(make_parser().parse_args())
-    output, run, periods = (given.pop(name) for name in ("output", "run", "return_periods"))
+    run, periods = given.pop("run"), given.pop("return_periods")
     of_run = {name: given.pop(name) for name in ("site", "state", "filled")}
     refuse((not run and len(periods) > 1, "--return-periods", periods, "must be one, or use --run"))
     names = {name: option_of(name) for name in (*given, *of_run, "return_periods")}
@@ -80,10 +82,12 @@ def main() -> None:
         from greenroof_ros.analysis.storms import design_storm, storms
 
         if not run:
-            print(f"# {given}\n{design_storm(**given, return_period=periods[0]).write_csv()}", end="")
+            stated = ", ".join(f"{name} {value}" for name, value in given.items())
+            print(f"# Design storm of {periods[0]:g} years: {stated}")
+            print(design_storm(**given, return_period=periods[0]).write_csv(), end="")
             return
         result = storms(**given, **of_run, return_periods=periods)
-        page = result.save(output)
+        page = result.save(run)
     console = PlainConsole()
     console.print(result.sentence, style="bold")
     console.print_table(result.shown.caption, result.shown.headings(), result.shown.texts())

@@ -45,16 +45,15 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
-from scipy.stats import gumbel_r
 
-from greenroof_ros.base.errors import ConfigurationError
+from greenroof_ros.base.errors import ConfigurationError, describe_choices
 from greenroof_ros.base.files import YamlMapping, read_lines
 from greenroof_ros.base.parameter import entry, read_record
 from greenroof_ros.base.ranges import Range
 from greenroof_ros.site.site import Place
+from greenroof_ros.weather.annual_maxima import fit_record
 from greenroof_ros.weather.quantities import PRECIPITATION, find_unit
 from greenroof_ros.weather.read import find_files, read_measured
-from greenroof_ros.weather.records import Records
 
 Values = NDArray[np.float64]
 
@@ -62,16 +61,12 @@ Values = NDArray[np.float64]
 _ROW = re.compile(r'[\s"]*(\d+(?:\.\d+)?)[ -]*(min|m?|h|d)[a-z]*\b(.*)', re.IGNORECASE)
 _MINUTES = {"h": 60.0, "d": 1440.0}
 _NUMBER = re.compile(r"\d+(?:\.\d+)?")
-# Durations for which a formula and a record are evaluated (min). The latter are those of
-# Environment and Climate Change Canada.
-_EVERY_MINUTE, _DURATIONS = np.arange(1.0, 1441.0), (5, 10, 15, 30, 60, 120, 360, 720, 1440)
-# Minimum share of a year for which rain must be known, and minimum number of such years [assumed].
-_ENOUGH, _MIN_YEARS = 0.9, 5
+# Durations for which a formula is evaluated (min).
+_EVERY_MINUTE = np.arange(1.0, 1441.0)
 
-KINDS = BLOCK, EULER, CHICAGO = "block", "euler", "chicago"
-PEAKS = {BLOCK: 0.5, EULER: 0.3, CHICAGO: 0.375}
-"""default position of the peak, as a share of the duration"""
-_ROUNDING = 1e-9
+PEAKS = {"block": 0.5, "euler": 0.3, "chicago": 0.375}
+"""default position of the peak of each kind of storm, as a share of the duration"""
+_TINY = 1e-9
 
 
 @dataclass(frozen=True)
@@ -131,7 +126,7 @@ def make_storm(
     Args:
         depths: depths by duration and return period.
         period: return period (years).
-        kind: one of :data:`KINDS`.
+        kind: one of :data:`PEAKS`.
         duration: duration of the storm (min).
         step: duration of a step (min).
         peak: position of the peak as a share of the duration; None for that of :data:`PEAKS`.
@@ -140,30 +135,29 @@ def make_storm(
         ConfigurationError: if a value is invalid; its key is that of the value.
     """
     low, high = depths.durations[[0, -1]].tolist()
-    if kind not in KINDS:
-        raise ConfigurationError(f"must be one of {', '.join(KINDS)}", key="kind", value=kind)
-    if not step or 60 % step or (kind != BLOCK and step < low):
-        expected = f"must divide an hour; the shortest duration of the table is {low:g} min"
-        raise ConfigurationError(expected, key="step", value=step)
-    if duration % step or not low <= duration <= high:
-        expected = f"must be a multiple of the step, {step} min, from {low:g} to {high:g} min"
-        raise ConfigurationError(expected, key="duration", value=duration)
-    share, count = Range(0.01, 0.99).read(peak or PEAKS[kind], key="peak"), duration // step
-    whole = depths.depth(np.array([float(duration)]), period)
-    if kind == BLOCK or count == 1:
-        return np.repeat(whole / count, count)
-    if kind == EULER:
-        increments = np.diff(depths.depth(step * np.arange(1.0, count + 1), period), prepend=0.0)
-        rain, before = np.sort(increments)[::-1], math.floor(share * count + _ROUNDING)
+    if kind not in PEAKS:
+        raise ConfigurationError(describe_choices(PEAKS, kind), key="kind", value=kind)
+    if 60 % step or duration % step or not low <= step <= duration <= high:
+        raise ConfigurationError(
+            f"must be a multiple of step ({step} min), which must divide an hour; both must be "
+            f"from {low:g} to {high:g} min, as in the table", key="duration", value=duration,
+        )
+    share, count = Range(0.01, 0.99).read(
+        PEAKS[kind] if peak is None else peak, key="peak"
+    ), duration // step
+    sums = depths.depth(step * np.arange(1.0, count + 1), period)
+    if kind == "block" or count == 1:
+        return np.repeat(sums[-1] / count, count)
+    if kind == "euler":
+        rain, before = np.sort(np.diff(sums, prepend=0.0))[::-1], math.floor(share * count + _TINY)
         return np.concatenate((rain[before::-1], rain[before + 1:]))
-    before = math.ceil(share * count - _ROUNDING) - 1
+    before = math.ceil(share * count - _TINY) - 1
     earlier = step * (np.arange(before + 1) / share + 1)
     later = step * (np.arange(count - before) / (1 - share) + 1)
-    rising, falling = (depths.depth(each, period) for each in (earlier, later))
-    # Both begin with the wettest step. The others are scaled, by a thousandth, to the whole depth.
-    others = np.concatenate((share * np.diff(rising)[::-1], (1 - share) * np.diff(falling)))
-    scaled = others * (whole - rising[0]) / others.sum()
-    return np.insert(scaled, before, rising[0])
+    rising, falling = (np.diff(depths.depth(each, period)) for each in (earlier, later))
+    # The other steps than the wettest are scaled, by a thousandth, to the whole depth.
+    others = np.concatenate((share * rising[::-1], (1 - share) * falling))
+    return np.insert(others * (sums[-1] - sums[0]) / others.sum(), before, sums[0])
 
 
 def read_depths(path: Path) -> Depths:
@@ -180,7 +174,8 @@ def read_depths(path: Path) -> Depths:
         return Depths(periods, _EVERY_MINUTE, a / (each + b) ** c * each / 60, note)
     if stated.record:
         files = find_files([str(path.parent / name) for name in stated.record], "record")
-        return fit_record(read_measured(files, Place()), stated.return_periods)
+        wanted = stated.return_periods
+        return Depths(wanted, *fit_record(read_measured(files, Place()), wanted))
     return _read_table(path.parent / stated.file, stated)
 
 
@@ -217,62 +212,7 @@ def _read_table(file: Path, stated: DepthFile) -> Depths:
             raise ConfigurationError(expected, file=file, line=number, value=text.strip())
         rows.append(row)
     if len(rows) < 3:
-        raise ConfigurationError("must have two or more lines that begin with a duration", file=file)
+        raise ConfigurationError("must have lines that begin with a duration", file=file)
     table = np.array(rows[1:])
     note = f"{file}: table of {len(table)} durations in {stated.unit}"
     return Depths(stated.return_periods, table[:, 0], table[:, 1:], note)
-
-
-def fit_record(records: Records, periods: Sequence[float]) -> Depths:
-    """Fit Gumbel's distribution to the annual maxima of each duration.
-
-    Args:
-        records: a record of rain.
-        periods: return periods (years).
-
-    Raises:
-        ConfigurationError: if the record has fewer than five years.
-    """
-    rain = records.finest_rain
-    size = 60 // rain.shape[1]
-    changes = np.flatnonzero(np.diff(np.nan_to_num(rain, nan=-1.0), axis=1).any(axis=0))
-    step = size * math.gcd(rain.shape[1], *(1 + changes).tolist())
-    first = np.datetime64(records.first.replace(tzinfo=None), "h")
-    years = (first + np.arange(records.hours)).astype("datetime64[Y]")
-    known = [
-        year for year in np.unique(years)
-        if np.count_nonzero(~np.isnan(rain[years == year])) >= _ENOUGH * 8760 * rain.shape[1]
-    ]
-    if (count := len(known)) < _MIN_YEARS:
-        raise ConfigurationError(
-            f"has {count} years with rain for {_ENOUGH:.0%} of the time; at least {_MIN_YEARS} are "
-            "needed", file=records.source,
-        )
-    total = np.append(0.0, np.cumsum(np.nan_to_num(rain) * size / 60))
-    durations, of_sum = [each for each in _DURATIONS if each >= step], np.repeat(years, 60 // size)
-    maxima = np.array([[
-        (total[width:] - total[:-width])[of_sum[: len(total) - width] == year].max()
-        for year in known
-    ] for width in np.array(durations) // size])
-    return Depths(periods, np.array(durations, float), fit_gumbel(maxima, periods), (
-        f"{records.source}: Gumbel's distribution, fitted by moments to the annual maxima of "
-        f"{count} years, {known[0]} to {known[-1]}, in steps of {step} min. By Weibull's plotting "
-        f"position, m / ({count} + 1), the largest has a return period of {count + 1} years; longer "
-        f"ones are extrapolated. Sums over {step} min begin at fixed times, and are lower than "
-        "those that begin at any time, by about an eighth"
-    ))
-
-
-def fit_gumbel(maxima: Values, periods: Sequence[float]) -> Values:
-    """Return the depths of return periods by the method of moments, as used in Canada's tables.
-
-    Args:
-        maxima: annual maxima, shape (durations, years).
-        periods: return periods (years).
-
-    Returns:
-        Depths, shape (durations, periods).
-    """
-    scale = maxima.std(axis=1, ddof=1, keepdims=True) * math.sqrt(6) / math.pi
-    place = maxima.mean(axis=1, keepdims=True) - np.euler_gamma * scale
-    return np.asarray(gumbel_r.isf(1 / np.array(periods), place, scale))
