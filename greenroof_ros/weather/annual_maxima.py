@@ -54,9 +54,10 @@ def fit_record(records: Records, periods: Sequence[float]) -> tuple[Values, Valu
     ] for width in np.array(durations) // size])
     return np.array(durations, float), fit_gumbel(maxima, periods), (
         f"{records.source}: Gumbel's distribution, fitted by moments to the annual maxima of "
-        f"{count} years, {known[0]} to {known[-1]}, in steps of {step} min. By Weibull's plotting "
-        f"position, m / ({count} + 1), the largest has a return period of {count + 1} years; "
-        f"longer ones are extrapolated. Sums over {step} min begin at fixed times, and are lower "
+        f"{count} years, {known[0]} to {known[-1]}, in steps of {step} min. The largest sum over "
+        f"{durations[0]} min is {maxima[0].max():.1f} mm. By Weibull's plotting position, "
+        f"m / ({count} + 1), it has a return period of {count + 1} years; longer ones are "
+        f"extrapolated. Sums over {step} min begin at fixed times, and are lower "
         "than those that begin at any time, by about an eighth"
     )
 

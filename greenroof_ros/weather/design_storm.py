@@ -58,7 +58,7 @@ from greenroof_ros.weather.read import find_files, read_measured
 Values = NDArray[np.float64]
 
 # A line that begins with a duration, in minutes unless it has another unit.
-_ROW = re.compile(r'[\s"]*(\d+(?:\.\d+)?)[ -]*(min|m?|h|d)[a-z]*\b(.*)', re.IGNORECASE)
+_ROW = re.compile(r'[\s"]*(\d+(?:\.\d+)?)[ -]*(min|h|d|)[a-z]*\b(.*)', re.IGNORECASE)
 _MINUTES = {"h": 60.0, "d": 1440.0}
 _NUMBER = re.compile(r"\d+(?:\.\d+)?")
 # Durations for which a formula is evaluated (min).
