@@ -23,7 +23,9 @@ CANADA = read_depths(DATA / "eccc_idf_charlottetown.yaml")
 IDF = "file: idf.csv\nreturn_periods: [2, 10]\nunit: mm\n"
 
 
-def described(directory: Path, text: str, table: str = "5;5,1;8\n60 min;12;20,5\n2 h;14;25\n") -> Path:
+def described(
+    directory: Path, text: str, table: str = "5;5,1;8\n60 min;12;20,5\n2 h;14;25\n"
+) -> Path:
     """Write a description beside a table, and return it."""
     (directory / "idf.csv").write_text(table)
     file = directory / "depths.yaml"
@@ -128,7 +130,7 @@ def test_the_maxima_of_a_record() -> None:
 
 
 def test_torontos_record() -> None:
-    """It begins in June 2014; its wettest hour, in a December, is an error of the gauge's record."""
+    """It begins in June 2014; its wettest hour is in a December, most likely by an error."""
     records = read_measured([CONFIG / "weather" / "toronto_2014-2025.csv.gz"], Place())
     _, depths, note = fit_record(records, [2, 100])
     assert "11 years, 2015 to 2025" in note and "79.2 mm" in note
