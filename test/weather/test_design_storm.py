@@ -137,8 +137,8 @@ def test_torontos_record() -> None:
     assert (np.diff(depths, axis=0) > 0).all() and (np.diff(depths, axis=1) > 0).all()
 
 
-# The City of Ottawa's storms of three hours in steps of ten minutes (mm/h), from the Sewer Design
-# Guidelines (2012, section 5.4): their intensity is a / (minutes + b)^c, with the peak at a third.
+# The City of Ottawa's storms of three hours in steps of ten minutes (mm/h), which go with the
+# formulas of its Sewer Design Guidelines (2012). The peak is at a third.
 OTTAWA = {
     5: (3.68, 4.58, 6.15, 9.61, 24.17, 104.19, 32.04, 16.34, 10.96, 8.29, 6.69, 5.63, 4.87, 4.30,
         3.86, 3.51, 3.22, 2.98),
