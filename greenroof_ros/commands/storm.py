@@ -27,14 +27,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from greenroof_ros.base.command_line import (
-    Parser,
-    add_site,
-    command,
-    make_number_type,
-    option_of,
-    refuse,
-)
+from greenroof_ros.base.command_line import Parser, add_site, command, option_of, refuse
 from greenroof_ros.base.console import PlainConsole
 from greenroof_ros.base.errors import rename_keys, require_extra
 
@@ -42,23 +35,22 @@ from greenroof_ros.base.errors import rename_keys, require_extra
 def make_parser() -> Parser:
     """Return the parser of the command line."""
     parser = Parser.of("storm", __doc__, "--depths FILE [options]")
-    minutes, share = make_number_type(1, 10_080, int), make_number_type(0, 1)
     for name, kind, default, about in (
         ("kind", str, "euler", "block, euler (type II of DWA-A 118) or chicago"),
-        ("duration", minutes, 120, "duration of the storm (min)"),
-        ("step", minutes, 5, "duration of a step, which divides an hour (min)"),
-        ("peak", share, None, "position of the peak as a share of the duration; if omitted, 0.3 "
+        ("duration", int, 120, "duration of the storm (min)"),
+        ("step", int, 5, "duration of a step, which divides an hour (min)"),
+        ("peak", float, None, "position of the peak as a share of the duration; if omitted, 0.3 "
          "for euler, 0.375 for chicago"),
         ("rain_factor", float, 1.0, "factor by which the rain is multiplied"),
         ("state", str, "wet", "with --run: the roof 48 hours before the storm. wet: at field "
          "capacity; dry: at its target if it is irrigated, or else at the wilting point"),
-        ("filled", share, 1.0, "with --run: share of the cistern that is full at that time"),
+        ("filled", float, 1.0, "with --run: share of the cistern that is full at that time"),
     ):
         about += f" (default: {default})" if default else ""
         parser.add_argument(option_of(name), type=kind, default=default, metavar="X", help=about)
     parser.add_argument(
-        "--return-periods", nargs="+", type=make_number_type(1, 1e5), default=[2.0, 10.0, 100.0],
-        metavar="YEARS", help="return periods; one without --run (default: 2 10 100)",
+        "--return-periods", nargs="+", type=float, default=[2.0, 10.0, 100.0], metavar="YEARS",
+        help="return periods; one without --run (default: 2 10 100)",
     )
     parser.add_argument("--depths", type=Path, required=True, metavar="FILE", help="file of depths")
     parser.add_argument(
@@ -82,8 +74,7 @@ def main() -> None:
         from greenroof_ros.analysis.storms import design_storm, storms
 
         if not run:
-            stated = ", ".join(f"{name} {value}" for name, value in given.items())
-            print(f"# Design storm of {periods[0]:g} years: {stated}")
+            print(f"# Design storm of {periods[0]:g} years:", *map(str, given.values()))
             print(design_storm(**given, return_period=periods[0]).write_csv(), end="")
             return
         result = storms(**given, **of_run, return_periods=periods)

@@ -137,7 +137,7 @@ def make_storm(
     low, high = depths.durations[[0, -1]].tolist()
     if kind not in PEAKS:
         raise ConfigurationError(describe_choices(PEAKS, kind), key="kind", value=kind)
-    if 60 % step or duration % step or not low <= step <= duration <= high:
+    if not low <= step <= duration <= high or 60 % step or duration % step:
         raise ConfigurationError(
             f"must be a multiple of step ({step} min), which must divide an hour; both must be "
             f"from {low:g} to {high:g} min, as in the table", key="duration", value=duration,
