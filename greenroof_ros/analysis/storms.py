@@ -179,7 +179,7 @@ def storms(
         given = {"outlet": each} if house.low_outlet_valve else {}
         cases[f"valve: {each}"] = {"site": house, "initial": (full, roof), **given}
     hours, rows = BEFORE_H + math.ceil(duration / 60) + _RUN_ON_H, list[tuple[Any, ...]]()
-    for period in return_periods:
+    for period in map(float, return_periods):
         weather = design_storm(source, period, duration=duration, step=step, **storm)
         flows = list[tuple[Any, ...]]()
         for case, inputs in cases.items():
@@ -189,12 +189,12 @@ def storms(
             summary, _ = loop.simulate(run)
             event = summary["events"][0]
             flows.append((
-                case, float(period), event["rain_mm"], event["peak_l_s"], 100 * event["peak_reduction"],
+                case, period, event["rain_mm"], event["peak_l_s"], 100 * event["peak_reduction"],
                 event["wet_discharge_m3"], 100 * event["volume_reduction"], summary["discharge_m3"],
             ))
         area, fallen = connected_area(house), event["rain_mm"]
         peak, volume = area * event["max_rain_5min_mm_h"] / 3600, area * fallen / 1000
-        rows += [("no green roof", float(period), fallen, peak, 0.0, volume, 0.0, volume), *flows]
+        rows += [("no green roof", period, fallen, peak, 0.0, volume, 0.0, volume), *flows]
     case, period, fallen, peak, less, *_ = rows[-1]
     return Storms(pl.DataFrame(rows, [*HEADINGS], orient="row"), (
         f"In a storm of {period:g} years, {fallen:.0f} mm in {duration} min, the peak is "
