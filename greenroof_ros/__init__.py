@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from greenroof_ros.analysis.calibration.result import calibrate
     from greenroof_ros.analysis.district.result import district
     from greenroof_ros.analysis.sizing.run import size
+    from greenroof_ros.analysis.storms import design_storm, storms
     from greenroof_ros.analysis.study import study
     from greenroof_ros.analysis.verification.result import verify
     from greenroof_ros.api.environment import Environment
@@ -21,17 +22,18 @@ if TYPE_CHECKING:
 __version__ = "1.0.0"
 
 __all__ = [
-    "Environment", "Result", "calibrate", "compare", "district", "read_bag", "read_site",
-    "scenarios", "score", "simulate", "size", "study", "verify",
+    "Environment", "Result", "calibrate", "compare", "design_storm", "district", "read_bag",
+    "read_site", "scenarios", "score", "simulate", "size", "storms", "study", "verify",
 ]
 
 # The module of each of these names.
 _MODULES = {
     "Environment": "api.environment", "Result": "api.simulate",
     "calibrate": "analysis.calibration.result", "compare": "api.simulate",
-    "district": "analysis.district.result", "read_bag": "api.simulate", "read_site": "api.simulate",
+    "design_storm": "analysis.storms", "district": "analysis.district.result",
+    "read_bag": "api.simulate", "read_site": "api.simulate",
     "scenarios": "api.scenarios", "score": "api.scenarios", "simulate": "api.simulate",
-    "size": "analysis.sizing.run", "study": "analysis.study",
+    "size": "analysis.sizing.run", "storms": "analysis.storms", "study": "analysis.study",
     "verify": "analysis.verification.result",
 }
 

@@ -73,6 +73,7 @@ GROUPS = {
     "adapt the model to your site": {
         "new-site": Command("new_site", "write a site file from a few numbers"),
         "size": Command("size", "choose a cistern, a target and an outlet over all seasons"),
+        "storm": Command("storm", "make design storms, and compute their peaks and volumes"),
         "calibrate": Command("calibrate", "fit the roof to measurements"),
         "fetch-weather": Command("fetch_weather", "download years of weather from the internet"),
         "weather": Command("weather_file", "describe a weather file, or write it as plain CSV"),

@@ -1,0 +1,218 @@
+"""Design storms, and the depths of rain by duration and return period on which they rest.
+
+A YAML file describes where they come from, in one of three ways. A table, such as those of KOSTRA,
+NOAA Atlas 14 or Environment and Climate Change Canada, has a row for each duration::
+
+    file: atlas_14.csv
+    after: PRECIPITATION FREQUENCY ESTIMATES
+    return_periods: [1, 2, 5, 10, 25, 50, 100, 200, 500, 1000]
+    unit: in
+
+A formula has the parameters a, b and c of each return period, and gives the intensity
+a / (minutes + b)^c (mm/h)::
+
+    parameters: {2: [732.951, 6.199, 0.810], 100: [1735.688, 6.014, 0.820]}
+
+A record is a weather file with years of rain::
+
+    record: [rain_gauge.csv]
+    return_periods: [2, 5, 10]
+
+Between durations, tables are interpolated linearly in the logarithms of duration and depth. Between
+return periods, depths are interpolated linearly in the logarithm of the return period. The depths
+of the entries are exact.
+
+A storm has one of three forms:
+
+- **block**: constant rain.
+- **euler**: Euler's type II (DWA-A 118, 2006, section 5.2.2.1). The increments of the depth in the
+  steps of the storm are sorted. The largest begins at 0.3 of the duration, rounded down to a step.
+  The next smaller ones are before it, up to the beginning of the storm, and the others after it.
+- **chicago**: Keifer and Chu (1957). Every part of the storm that contains the peak, and of which
+  the share ``peak`` is before it, has the depth of its own duration. The default is 0.375, which
+  they found for Chicago. The peak is in the step in which the share ``peak`` of the duration ends,
+  as in programs of practice, so the wettest step has the depth of its duration.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import make_interp_spline
+
+from greenroof_ros.base.errors import ConfigurationError, describe_choices
+from greenroof_ros.base.files import YamlMapping, read_lines
+from greenroof_ros.base.parameter import entry, read_record
+from greenroof_ros.base.ranges import Range
+from greenroof_ros.site.site import Place
+from greenroof_ros.weather.annual_maxima import fit_record
+from greenroof_ros.weather.quantities import PRECIPITATION, find_unit
+from greenroof_ros.weather.read import find_files, read_measured
+
+Values = NDArray[np.float64]
+
+# A line that begins with a duration, in minutes unless it has another unit.
+_ROW = re.compile(r'[\s"]*(\d+(?:\.\d+)?)[ -]*(min|h|d|)[a-z]*\b(.*)', re.IGNORECASE)
+_MINUTES = {"h": 60.0, "d": 1440.0}
+_NUMBER = re.compile(r"\d+(?:\.\d+)?")
+# Durations for which a formula is evaluated (min).
+_EVERY_MINUTE = np.arange(1.0, 1441.0)
+
+PEAKS = {"block": 0.5, "euler": 0.3, "chicago": 0.375}
+"""default position of the peak of each kind of storm, as a share of the duration"""
+_TINY = 1e-9
+
+
+@dataclass(frozen=True)
+class DepthFile:
+    """What a file of depths contains."""
+
+    file: str = entry("the file with the table, beside this file", default="")
+    after: str = entry("text in a line above the table, if the file contains more", default="")
+    return_periods: tuple[float, ...] = entry(
+        "return periods of the first columns, or those for which a record is evaluated", 1.0, 1e5,
+        unit="years", default=(),
+    )
+    unit: str = entry("unit of the table", choices=("mm", "in", "mm/h", "in/h"), default="")
+    decimal: str = entry("decimal mark of the table", choices=(".", ","), default=".")
+    parameters: dict[float, tuple[float, ...]] = entry(
+        "a, b and c of each return period in years", 0.0, 1e6, factory=dict,
+    )
+    record: tuple[str, ...] = entry("weather files, beside this file", default=())
+
+
+@dataclass(frozen=True)
+class Depths:
+    """Depths of rain by duration and return period.
+
+    Attributes:
+        periods: return periods (years), in ascending order.
+        durations: durations (min), in ascending order, shape (durations,).
+        table: depths (mm), shape (durations, periods).
+        note: sentence about the source.
+    """
+
+    periods: Sequence[float]
+    durations: Values
+    table: Values
+    note: str
+
+    def depth(self, minutes: Values, period: float) -> Values:
+        """Return the depths (mm) of some durations (min).
+
+        Durations outside the table continue its outermost segments.
+
+        Raises:
+            ConfigurationError: if the return period (years) is outside those of the table.
+        """
+        allowed = Range(self.periods[0], self.periods[-1], "years")
+        place, logs = np.log(allowed.read(period, key="return_periods")), np.log(self.periods)
+        shares = [np.interp(place, logs, one) for one in np.eye(len(logs))]
+        line = make_interp_spline(np.log(self.durations), np.log(self.table), k=1)
+        return np.asarray(np.exp(line(np.log(minutes))) @ shares)
+
+
+def make_storm(
+    depths: Depths, period: float, kind: str, duration: int, step: int, peak: float | None = None
+) -> Values:
+    """Return the rain in each step of a storm (mm), whose sum is the depth of its duration.
+
+    Args:
+        depths: depths by duration and return period.
+        period: return period (years).
+        kind: one of :data:`PEAKS`.
+        duration: duration of the storm (min).
+        step: duration of a step (min).
+        peak: position of the peak as a share of the duration; None for that of :data:`PEAKS`.
+
+    Raises:
+        ConfigurationError: if a value is invalid; its key is that of the value.
+    """
+    low, high = depths.durations[[0, -1]].tolist()
+    if kind not in PEAKS:
+        raise ConfigurationError(describe_choices(PEAKS, kind), key="kind", value=kind)
+    if not low <= step <= duration <= high or 60 % step or duration % step:
+        raise ConfigurationError(
+            f"must be a multiple of step ({step} min), which must divide an hour; both must be "
+            f"from {low:g} to {high:g} min, as in the table", key="duration", value=duration,
+        )
+    share, count = Range(0.01, 0.99).read(
+        PEAKS[kind] if peak is None else peak, key="peak"
+    ), duration // step
+    sums = depths.depth(step * np.arange(1.0, count + 1), period)
+    if kind == "block" or count == 1:
+        return np.repeat(sums[-1] / count, count)
+    if kind == "euler":
+        rain, before = np.sort(np.diff(sums, prepend=0.0))[::-1], math.floor(share * count + _TINY)
+        return np.concatenate((rain[before::-1], rain[before + 1:]))
+    before = math.ceil(share * count - _TINY) - 1
+    earlier = step * (np.arange(before + 1) / share + 1)
+    later = step * (np.arange(count - before) / (1 - share) + 1)
+    rising, falling = (np.diff(depths.depth(each, period)) for each in (earlier, later))
+    # The other steps than the wettest are scaled, by a thousandth, to the whole depth.
+    others = np.concatenate((share * rising[::-1], (1 - share) * falling))
+    return np.insert(others * (sums[-1] - sums[0]) / others.sum(), before, sums[0])
+
+
+def read_depths(path: Path) -> Depths:
+    """Read a file of depths.
+
+    Raises:
+        ConfigurationError: if a file is invalid; the message names the line and the key or value.
+    """
+    stated = read_record(DepthFile, path, _find_mistakes)
+    if stated.parameters:
+        periods, each = sorted(stated.parameters), _EVERY_MINUTE[:, None]
+        a, b, c = np.array([stated.parameters[period] for period in periods]).T
+        note = f"{path.name}: intensity a / (minutes + b)^c"
+        return Depths(periods, _EVERY_MINUTE, a / (each + b) ** c * each / 60, note)
+    if stated.record:
+        files = find_files([str(path.parent / name) for name in stated.record], "record")
+        wanted = stated.return_periods
+        return Depths(wanted, *fit_record(read_measured(files, Place()), wanted))
+    return _read_table(path.parent / stated.file, stated)
+
+
+def _find_mistakes(stated: DepthFile, _: YamlMapping) -> Iterator[tuple[str, str]]:
+    """Yield the key and the correction of every mistake."""
+    if [*map(bool, (stated.file, stated.parameters, stated.record))].count(True) != 1:
+        yield "file", "must be stated, or else parameters or record, but only one of these three"
+    periods = [*stated.return_periods, *sorted(stated.parameters)]
+    if not periods or periods != sorted({*periods}) or (stated.record and periods[0] <= 1):
+        yield "return_periods", "must be stated, in ascending order, and above 1 for a record"
+    if any(len(abc) != 3 for abc in stated.parameters.values()):
+        yield "parameters", "must contain a, b and c for each return period"
+    if stated.file and not stated.unit:
+        yield "unit", "must be stated: mm or in for depths, mm/h or in/h for intensities"
+
+
+def _read_table(file: Path, stated: DepthFile) -> Depths:
+    """Read the lines that begin with a duration, for as long as it increases."""
+    lines, count = enumerate(read_lines(file), start=1), len(stated.return_periods)
+    if stated.after and not any(stated.after in text for _, text in lines):
+        raise ConfigurationError("must occur in a line", file=file, key="after", value=stated.after)
+    rows = [[1e-9] * (count + 1)]
+    for number, text in lines:
+        if not (match := _ROW.match(text.replace(stated.decimal, "."))):
+            continue
+        minutes = float(match[1]) * _MINUTES.get(match[2].lower(), 1.0)
+        if minutes <= rows[-1][0]:
+            break
+        per_ours = find_unit(PRECIPITATION, stated.unit, minutes / 60, 1.0).per_ours
+        cells = _NUMBER.findall(match[3])[:count]
+        row = [minutes, *(minutes / 60 * float(cell) / per_ours for cell in cells)]
+        if not np.greater_equal(row, rows[-1][: len(row)]).all() or len(cells) < count:
+            expected = f"must have {count} values in {stated.unit}, and depths must not decrease"
+            raise ConfigurationError(expected, file=file, line=number, value=text.strip())
+        rows.append(row)
+    if len(rows) < 3:
+        raise ConfigurationError("must have lines that begin with a duration", file=file)
+    table = np.array(rows[1:])
+    note = f"{file}: table of {len(table)} durations in {stated.unit}"
+    return Depths(stated.return_periods, table[:, 0], table[:, 1:], note)
