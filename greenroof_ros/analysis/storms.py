@@ -29,9 +29,11 @@ from greenroof_ros.weather.design_storm import Depths, make_storm, read_depths
 PAGE, TABLE = "storms.html", "storms.csv"
 HEADINGS = {
     "case": "case", "return_period_years": "years", "rain_mm": "rain (mm)",
-    "peak_l_s": "peak (L/s)", "peak_reduction_percent": "less (%)", "volume_m3": "volume (m³)",
-    "volume_reduction_percent": "less (%)", "discharge_m3": "in all weather (m³)",
+    "peak_l_s": "peak (L/s)", "peak_reduction_percent": "lower by (%)",
+    "volume_m3": "volume (m³)", "volume_reduction_percent": "less by (%)",
+    "discharge_m3": "in all weather (m³)",
 }
+NO_ROOF, NO_IRRIGATION = "no green roof", "no irrigation"
 BEFORE_H, AFTER_H = 48, 72
 """hours without rain before a storm, for which plan looks ahead, and after it"""
 _START, _RAIN = np.datetime64("2001-07-01T00:00", "m"), "precipitation [mm/h]"
@@ -86,19 +88,37 @@ class Storms:
             the volume the discharge, from the first rain to the end of wet weather. The reductions
             are relative to the same area without a green roof and a cistern. ``discharge_m3`` is
             the discharge of the whole run, with what a valve releases before the storm.
-        sentence: the result of the last case in the last storm.
+        title: title of the page.
+        duration: duration of the storms (min).
         notes: what the results rest on.
+        read: what was read.
     """
 
     table: pl.DataFrame
-    sentence: str
+    title: str
+    duration: int
     notes: Sequence[str]
+    read: Sequence[str]
+
+    @property
+    def sentence(self) -> str:
+        """The results of the last case in every storm."""
+        case = self.table["case"][-1]
+        storms = "; ".join(
+            f"a storm of {years:g} years ({rain:.0f} mm in {self.duration} min) by {less:.0f} %, "
+            f"to {peak:.1f} L/s"
+            for _, years, rain, peak, less, *_ in self.table.filter(case=case).rows()
+        )
+        return (
+            f"With the cistern and the green roof ({case}), the peak is lower than without them: "
+            f"in {storms}."
+        )
 
     @property
     def shown(self) -> Table:
         """The table for people."""
         return Table("Discharge to the sewer", [*HEADINGS.values()], [
-            [case, *(format_number(round(each, 3) + 0.0) for each in values)]
+            [case, *(format_number(round(each, 1) + 0.0) for each in values)]
             for case, *values in self.table.rows()
         ])
 
@@ -106,7 +126,10 @@ class Storms:
         """Return the picture of the peaks and volumes; its ``chart()`` is for a notebook."""
         cases = self.table["case"].unique(maintain_order=True).to_list()
         base = alt.Chart(alt.NamedData("storms")).mark_bar().encode(
-            x=alt.X("return_period_years:O", title="return period (years)"),
+            x=alt.X(
+                "return_period_years:O", title="return period (years)",
+                axis=alt.Axis(labelAngle=0),
+            ),
             xOffset=alt.XOffset("case:N", sort=cases),
             color=alt.Color("case:N", title=None, scale=alt.Scale(domain=cases, range=[*COLOURS])),
         )
@@ -115,7 +138,8 @@ class Storms:
             for name in ("peak_l_s", "volume_m3")
         )
         data = {"storms": self.table.to_dicts()}
-        return Figure("storms", "Design storms", "", (first, second), 2, data)
+        title = "Peak and volume of the discharge to the sewer"
+        return Figure("storms", title, "", (first, second), 2, data)
 
     def save(self, directory: str | os.PathLike[str]) -> Path:
         """Write the page, the table and the picture to a folder, and return the page.
@@ -125,9 +149,16 @@ class Storms:
         """
         figure, folder = self.draw(), Path(directory)
         claim_output(folder, PAGE, [TABLE])
-        html = make_page("Peaks and volumes of design storms", self.sentence, [
-            Section("Peaks and volumes", [self.shown, figure]),
+        html = make_page(self.title, self.sentence, [
+            Section("Peaks and volumes", [self.shown]),
+            Section("Pictures", [figure]),
             Section("What it rests on", [self.notes]),
+            Section("What was read", [self.read]),
+            Section("How it was made", [
+                "Each storm was simulated with each case in ticks of a minute, from "
+                f"{BEFORE_H} h before the storm to {_RUN_ON_H} h after it, by greenroof storm "
+                f"--run. {TABLE} contains the numbers.",
+            ]),
         ])
         return write_output(folder, PAGE, html, [figure], {TABLE: self.table.write_csv()})
 
@@ -166,25 +197,27 @@ def storms(
         >>> gr.storms("config/site_valve.yaml", "depths.yaml").table  # doctest: +SKIP
     """
     source, control = read_depths(Path(depths)), find_controller("onoff")
-    house = replace(make_inputs(control, {"site": site}).read_site(), tau=60.0, M=1)
+    inputs = make_inputs(control, {"site": site})
+    house_file, house = inputs.site, replace(inputs.read_site(), tau=60.0, M=1)
     full, without = filled * house.a1 * house.z_o, _remove_cistern(house)
     states = {"wet": (house.z_cap, house.z_cap), "dry": (house.x2_star, house.wilting_volume)}
     if state not in states:
         raise ConfigurationError(describe_choices(states, state), key="state", value=state)
     roof, dry_roof = states[state]
     cases: dict[str, dict[str, Any]] = {
-        "no irrigation": {"site": without, "initial": (without.a1 * house.z_o, dry_roof)}
+        NO_IRRIGATION: {"site": without, "initial": (without.a1 * house.z_o, dry_roof)}
     }
     for each in outlets if house.low_outlet_valve else ("none",):
         given = {"outlet": each} if house.low_outlet_valve else {}
-        cases[f"valve: {each}"] = {"site": house, "initial": (full, roof), **given}
+        name = f"valve {each}" if given else "no valve"
+        cases[name] = {"site": house, "initial": (full, roof), **given}
     hours, rows = BEFORE_H + math.ceil(duration / 60) + _RUN_ON_H, list[tuple[Any, ...]]()
     for period in map(float, return_periods):
         weather = design_storm(source, period, duration=duration, step=step, **storm)
         flows = list[tuple[Any, ...]]()
-        for case, inputs in cases.items():
+        for case, given in cases.items():
             run = make_inputs(control, {
-                "weather": weather, "start": _START, "hours": hours, **inputs
+                "weather": weather, "start": _START, "hours": hours, **given
             }).build()
             summary, _ = loop.simulate(run)
             event = summary["events"][0]
@@ -194,18 +227,21 @@ def storms(
             ))
         area, fallen = connected_area(house), event["rain_mm"]
         peak, volume = area * event["max_rain_5min_mm_h"] / 3600, area * fallen / 1000
-        rows += [("no green roof", period, fallen, peak, 0.0, volume, 0.0, volume), *flows]
-    case, period, fallen, peak, less, *_ = rows[-1]
-    return Storms(pl.DataFrame(rows, [*HEADINGS], orient="row"), (
-        f"In a storm of {period:g} years, {fallen:.0f} mm in {duration} min, the peak is "
-        f"{peak:.1f} L/s ({case}), {less:.0f} % less than without a green roof and a cistern."
-    ), [
-        source.note,
-        f"The state {BEFORE_H} h before a storm: {state} roof, {100 * filled:g} % full cistern. "
-        "Nothing evaporates, and plan has a perfect forecast.",
-        "Peaks are means of 5 min. Peaks and volumes count from the first rain to "
-        f"{house.wet_after:g} h after the last.",
-    ])
+        rows += [(NO_ROOF, period, fallen, peak, 0.0, volume, 0.0, volume), *flows]
+    of = f" at {house_file.stem}" if isinstance(house_file, Path) else ""
+    return Storms(
+        pl.DataFrame(rows, [*HEADINGS], orient="row"), f"Peaks and volumes of design storms{of}",
+        duration, [
+            f"The state {BEFORE_H} h before a storm: {state} roof, {100 * filled:g} % full "
+            "cistern. Nothing evaporates, and plan has a perfect forecast.",
+            f"{NO_ROOF.capitalize()}: all rain on the {house.a2:g} m² of the green roof, and "
+            f"{100 * house.runoff_coefficient:g} % of that on {house.a_in:g} m² of other roofs, "
+            f"reaches the sewer at once. {NO_IRRIGATION.capitalize()}: the green roof without a "
+            "cistern.",
+            "Peaks are means of 5 min. Peaks and volumes count from the first rain to "
+            f"{house.wet_after:g} h after the last.",
+        ], [source.note],
+    )
 
 
 def _remove_cistern(site: Site) -> Site:

@@ -81,7 +81,8 @@ def main() -> None:
         page = result.save(run)
     console = PlainConsole()
     console.print(result.sentence, style="bold")
-    console.print_table(result.shown.caption, result.shown.headings(), result.shown.texts())
-    for note in result.notes:
+    shown = result.shown
+    console.print_table(shown.caption, shown.headings()[:-1], [row[:-1] for row in shown.texts()])
+    for note in (*result.notes, *result.read):
         console.print(f"NOTE: {note}")
     console.print(f"written to {page}", soft_wrap=True)

@@ -214,5 +214,5 @@ def _read_table(file: Path, stated: DepthFile) -> Depths:
     if len(rows) < 3:
         raise ConfigurationError("must have lines that begin with a duration", file=file)
     table = np.array(rows[1:])
-    note = f"{file}: table of {len(table)} durations in {stated.unit}"
+    note = f"{file}: table of {len(table)} durations ({stated.unit})"
     return Depths(stated.return_periods, table[:, 0], table[:, 1:], note)
