@@ -6,7 +6,7 @@ what it rests on. No forecast of rain is used.
 
 The outlets are: none; drain, a valve that drains the cistern down to a reserve in dry weather; and
 plan, a valve that retains the water that plants take up in 20 days. A site must have a mains
-top-up. An outlet valve that its file lacks is assumed, and the results state this.
+top-up, and a low outlet if valves are to be compared.
 
 Exit codes: 0 done, 2 bad usage or configuration, 130 interrupted
 
@@ -24,7 +24,7 @@ from pathlib import Path
 
 from greenroof_ros.analysis.sizing.choice import KNEE
 from greenroof_ros.analysis.sizing.designs import OUTLETS, TARGETS, VOLUMES
-from greenroof_ros.analysis.sizing.results import MAIN, PAGE, TABLE
+from greenroof_ros.analysis.sizing.results import PAGE, TABLE
 from greenroof_ros.analysis.sizing.run import KNEE_RANGE, PRICES, size
 from greenroof_ros.base.command_line import (
     Parser,
@@ -71,7 +71,8 @@ def make_parser() -> Parser:
     )
     group.add_argument(
         "--outlets", nargs="+", choices=OUTLETS,
-        help="compare these types of cistern outlet (default: all)",
+        help="compare these types of cistern outlet (default: all, or only none for a site without "
+        "a low outlet)",
     )
     group = parser.add_argument_group("value of a larger cistern")
     group.add_argument(
@@ -113,7 +114,7 @@ def main() -> None:
         page = sizes.save(output)
     console = PlainConsole()
     console.print(sizes.sentence, style="bold")
-    table = tabulate_volumes(sizes, MAIN)[0]
+    table = tabulate_volumes(sizes)[0]
     console.print_table(table.caption, table.headings(), table.texts(), table.marked)
     for note in (*sizes.read, *sizes.notes):
         console.print(f"NOTE: {note}")

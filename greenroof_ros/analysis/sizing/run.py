@@ -12,8 +12,8 @@ from greenroof_ros.analysis.assumptions import list_ends
 from greenroof_ros.analysis.seasons import find_ranges, find_seasons, list_notes, read_window
 from greenroof_ros.analysis.sizing import designs as plans
 from greenroof_ros.analysis.sizing.choice import KNEE, Prices, choose_volume, find_target
-from greenroof_ros.analysis.sizing.designs import Design
-from greenroof_ros.analysis.sizing.results import BY_DESIGN, COST, KEPT, LOST
+from greenroof_ros.analysis.sizing.designs import BY_DESIGN, Design
+from greenroof_ros.analysis.sizing.results import COST, KEPT, LOST
 from greenroof_ros.analysis.sizing.sizes import Sizes, Tested
 from greenroof_ros.base.parameter import make_record, parameters_of
 from greenroof_ros.base.ranges import Range
@@ -56,7 +56,8 @@ def size(
             volumes that suit the roof and the catchment.
         targets: target depths of the water on the roof (mm); by default the site's target, and
             steps of a twentieth of what the soil holds.
-        outlets: any of ``"none"``, ``"drain"`` and ``"plan"``; by default all three.
+        outlets: any of ``"none"``, ``"drain"`` and ``"plan"``; by default all three, or only
+            ``"none"`` for a site without a low outlet.
         season: first and last day of the season, as in ``"05-01/10-31"``; by default May to
             October, or November to April south of the equator.
         knee: minimum volume of water that each additional m3 of cistern must save per season (m3).
@@ -81,14 +82,14 @@ def size(
         ...     site="config/site_valve.yaml", weather="config/weather/toronto_2021-07.csv",
         ...     season="07-07/07-08", volumes=[5, 10], targets=[36, 39], outlets=["none"],
         ... )
-        >>> sizes.recommended.target
+        >>> sizes.recommended.target_mm
         36.0
     """
     given = {name: price for name, price in prices.items() if price is not None}
     priced = make_record(Prices, given) if given else None
     own_volumes = None if volumes is None else plans.read_numbers(volumes, "volumes", plans.VOLUMES)
     own_targets = None if targets is None else plans.read_numbers(targets, "targets", plans.TARGETS)
-    kinds, knee = plans.read_outlets(outlets), KNEE_RANGE.read(knee, key="knee")
+    knee = KNEE_RANGE.read(knee, key="knee")
     inputs = make_inputs(find_controller(plans.CONTROLLER), {
         name: value for name, value in {
             "site": site, "weather": weather, "evapotranspiration": evapotranspiration,
@@ -99,7 +100,8 @@ def size(
     plans.check_mains(base)
     for target in own_targets or []:
         plans.check_target(base, target)
-    window, outlet = read_window(season, base), plans.choose_outlet(base, kinds)
+    kinds, window = plans.read_outlets(outlets, base), read_window(season, base)
+    outlet = plans.choose_outlet(base, kinds)
     compared = own_volumes or plans.choose_volumes(base)
     own = compared[len(compared) // 2] if own_volumes else plans.find_volume(base)
     progress("reading weather", 0.0)
@@ -149,11 +151,11 @@ def size(
         compared, rows = sorted({*compared, *finer}), add_volumes(rows, finer)
         volume = best_volume(rows)
     best = Design(volume, target, outlet)
-    reference, tested = rows.filter(**best.columns), list[Tested]()
+    reference, tested = rows.filter(**best._asdict()), list[Tested]()
     designs = [Design(each, target, outlet) for each in compared]
 
     def test(label: str, used: float, value: float, made: polars.DataFrame) -> None:
-        if not (changed := made.filter(**best.columns)).equals(reference):
+        if not (changed := made.filter(**best._asdict())).equals(reference):
             tested.append(Tested(f"{label}; used: {used:g}", value, changed, best_volume(made)))
 
     for (name, label, *_), value, changed in list_ends(base):
@@ -171,7 +173,7 @@ def size(
     return Sizes(
         inputs.site.stem if isinstance(inputs.site, Path) else "", base, rows, best, tested,
         list(seasons), f"{window}",
-        [*plans.list_assumed(base, kinds), *_remark(reference, volume, compared, base)],
+        [*plans.list_assumed(base), *_remark(reference, volume, compared)],
         [f"{record.source}: {contents}", *notes, *list_notes(seasons, base), *left_out],
         priced, knee,
     )
@@ -192,7 +194,7 @@ def _simulate(
         progress: callback that receives the share that is done.
     """
     made, _ = simulate_season([
-        Case(site, parameters, season, filled * design.volume, site.x2_star, with_forecast=False)
+        Case(site, parameters, season, filled * design.volume_m3, site.x2_star, with_forecast=False)
         for design, (site, parameters) in designs.items() for season in seasons.values()
     ], progress=progress, threads=jobs)
     rows = []
@@ -201,14 +203,14 @@ def _simulate(
         rain, wet, mains = row["rain_m3"], row["wet_discharge_m3"], row["mains_m3"]
         row |= {KEPT: 1 - wet / rain if rain else None, LOST: 1 - row["evapotranspiration_ratio"]}
         if prices is not None:
-            cistern = prices.yearly_cistern_price * design.volume
+            cistern = prices.yearly_cistern_price * design.volume_m3
             row[COST] = cistern + float(prices.cost_water(mains, wet))
-        rows.append({**design.columns, "season": season, **row})
+        rows.append({**design._asdict(), "season": season, **row})
     return make_frame(rows, infer_schema_length=None)
 
 
 def _remark(
-    rows: polars.DataFrame, volume: float, compared: Sequence[float], site: Site
+    rows: polars.DataFrame, volume: float, compared: Sequence[float]
 ) -> list[str]:
     """Return remarks on the recommended cistern (m3), and on what is unusual in its results."""
     remarks = [
@@ -221,17 +223,10 @@ def _remark(
             ("smallest", "smaller", compared[0]), ("largest", "larger", compared[-1]),
         ) if volume == end and len(compared) > 1
     ]
-    drained, fallen, excess = rows.select(
-        "drainage_m3", "rain_roof_m3", "excess_starts"
-    ).mean().row(0)
+    drained, fallen = rows.select("drainage_m3", "rain_roof_m3").mean().row(0)
     if drained > fallen:
         remarks.append(
             f"More water drains from the roof ({drained:.3g} m³ in a season) than rain falls on it "
             f"({fallen:.3g} m³): much of the irrigation percolates below field capacity."
-        )
-    if excess:
-        remarks.append(
-            f"The pump starts {excess:.0f} times a season more often than {site.starts_per_hour:g} "
-            "times an hour, as on/off control runs it whenever the roof is below its target."
         )
     return remarks

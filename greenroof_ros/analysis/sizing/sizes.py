@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from greenroof_ros.analysis.seasons import find_ranges
 from greenroof_ros.analysis.sizing.choice import Prices
-from greenroof_ros.analysis.sizing.designs import NONE, Design
-from greenroof_ros.analysis.sizing.results import BY_DESIGN, KEPT, PAGE, SHOWN, TABLE
+from greenroof_ros.analysis.sizing.designs import BY_DESIGN, NONE, Design
+from greenroof_ros.analysis.sizing.results import KEPT, PAGE, SHOWN, TABLE
 from greenroof_ros.analysis.tables import write_range
 from greenroof_ros.base.errors import require_extra
 from greenroof_ros.site.site import Site
@@ -79,7 +79,7 @@ class Sizes:
     def sentence(self) -> str:
         """The recommendation, and what it brings in a season."""
         own = self.recommended
-        (row,) = self.table.filter(**own.columns).to_dicts()
+        (row,) = self.table.filter(**own._asdict()).to_dicts()
         text = {
             name: write_range(row, name, column) for name, column in SHOWN.items() if name in row
         }
@@ -91,8 +91,8 @@ class Sizes:
             f", {text[KEPT]} % less than the rain on the roofs"
         )
         return (
-            f"A cistern of {own.volume:g} m³ ({own.described_outlet}) and a target of "
-            f"{own.target:g} mm of water on the roof are recommended. In a season, {watered}"
+            f"A cistern of {own.volume_m3:g} m³ ({own.described_outlet}) and a target of "
+            f"{own.target_mm:g} mm of water on the roof are recommended. In a season, {watered}"
             f"{text['wet_discharge_m3']} m³ reaches the sewer in wet weather{kept}. In all "
             f"weather, {text['discharge_m3']} m³ reaches the sewer, a retention of "
             f"{text['retention_share']} %.{self._compare()}"
@@ -101,7 +101,7 @@ class Sizes:
     def _compare(self) -> str:
         """Return what the recommended cistern does without its valve; empty without a valve."""
         own = self.recommended._replace(outlet=NONE)
-        plain = self.table.filter(**own.columns).to_dicts()
+        plain = self.table.filter(**own._asdict()).to_dicts()
         if not plain or own == self.recommended:
             return ""
         mains, wet = (

@@ -129,7 +129,7 @@ def test_python_gives_the_same(sized: Path, sizes: Sizes) -> None:
 @pytest.mark.parametrize("outlet", ["none", "drain"])
 def test_a_design_alone_gives_the_same(sizes: Sizes, outlet: str) -> None:
     """The paper's plant, tick by tick and one at a time, with the same site and weather."""
-    design = Design(5.0, sizes.recommended.target, outlet)
+    design = Design(5.0, sizes.recommended.target_mm, outlet)
     site, parameters = build(read_site(VALVE), design)
     for number, year in enumerate(sizes.seasons):
         alone = gr.simulate(
@@ -137,7 +137,7 @@ def test_a_design_alone_gives_the_same(sizes: Sizes, outlet: str) -> None:
             gaps="fill", initial=(2.5, site.x2_star), **parameters,
         ).metrics
         for name in ("pumped_m3", "mains_m3", "wet_discharge_m3", "overflow_days", "stress_hours"):
-            found = sizes.table_of_seasons.filter(**design.columns)[name][number]
+            found = sizes.table_of_seasons.filter(**design._asdict())[name][number]
             assert found == pytest.approx(alone[name], abs=1e-6), name
 
 
@@ -149,13 +149,13 @@ def test_an_assumption_alone_gives_the_same(sizes: Sizes) -> None:
         for name in (name for start, name in names.items() if text.startswith(start)):
             changed = read_site(VALVE, {name: value})
             other = gr.size(**OPTIONS | {"site": changed}).table_of_seasons
-            assert other.filter(**sizes.recommended.columns).equals(rows)
+            assert other.filter(**sizes.recommended._asdict()).equals(rows)
 
 
 def test_other_initial_states_bracket_the_half_full_one(sizes: Sizes) -> None:
     """More water at the start is less from the mains and more in the sewer, nearly always."""
     empty, full = sizes.tested[-2:]
-    half = sizes.table_of_seasons.filter(**sizes.recommended.columns)
+    half = sizes.table_of_seasons.filter(**sizes.recommended._asdict())
     mains, wet = (
         [each[name].mean() for each in (empty.rows, half, full.rows)]
         for name in ("mains_m3", "wet_discharge_m3")
@@ -172,7 +172,7 @@ def test_the_page_in_a_browser(sized: Path, tmp_path: Path) -> None:
             "The recommendation", "Pictures", "What it rests on", "Other targets and outlets",
             "What was read", "How it was made",
         ]
-        assert page.locator("tr.marked").count() == 6  # one of each table
+        assert page.locator("tr.marked").count() == 5  # one of each table
         for width in (400, 1280):
             page.set_viewport_size({"width": width, "height": 900})
             page.wait_for_function(f"document.documentElement.scrollWidth <= {width}")
@@ -201,7 +201,7 @@ def test_a_season_without_rain_or_irrigation() -> None:
 def test_a_knee_at_the_ends_of_the_volumes() -> None:
     """No cistern saves a million m3 for each m3, and each saves at least none."""
     never, always = (gr.size(**OPTIONS | {"knee": amount}) for amount in (1e6, 0.0))
-    assert (never.recommended.volume, always.recommended.volume) == (2.0, 10.0)
+    assert (never.recommended.volume_m3, always.recommended.volume_m3) == (2.0, 10.0)
     assert "smaller cisterns are worth trying" in " ".join(never.notes)
     assert "larger cisterns are worth trying" in " ".join(always.notes)
 
