@@ -67,8 +67,8 @@ class Prices:
         return self.cistern_price / self.cistern_years
 
 
-def find_knee(volumes: Sequence[float], saved: Values, amount: float) -> int | None:
-    """Return the index of the knee, or None if the largest cistern is smaller than the knee.
+def find_knee(volumes: Sequence[float], saved: Values, amount: float) -> int:
+    """Return the index of the knee; that of the largest cistern if it is smaller than the knee.
 
     Args:
         volumes: volumes of the cisterns (m3), in ascending order.
@@ -78,8 +78,7 @@ def find_knee(volumes: Sequence[float], saved: Values, amount: float) -> int | N
     """
     brings = np.diff(saved) / np.diff(volumes)
     enough = np.flatnonzero(brings >= amount)
-    knee = int(enough[-1]) + 1 if enough.size else 0
-    return knee if knee < len(volumes) - 1 or len(volumes) == 1 else None
+    return int(enough[-1]) + 1 if enough.size else 0
 
 
 def find_target(targets: Sequence[float], lost: Values) -> float:
@@ -112,5 +111,4 @@ def choose_volume(
     saved, amount = -(mains + wet), knee
     if prices is not None:
         saved, amount = -prices.cost_water(mains, wet), prices.yearly_cistern_price
-    place = find_knee(volumes, saved, amount)
-    return volumes[-1 if place is None else place]
+    return volumes[find_knee(volumes, saved, amount)]

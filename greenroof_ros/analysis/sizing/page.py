@@ -12,14 +12,12 @@ from greenroof_ros.analysis.figures import Figure, Panel, distinguish_series
 from greenroof_ros.analysis.page import Section, make_page, write_output
 from greenroof_ros.analysis.seasons import find_ranges
 from greenroof_ros.analysis.sizing.choice import MAX_LOST
-from greenroof_ros.analysis.sizing.designs import BY_DESIGN
 from greenroof_ros.analysis.sizing.results import LOST, MAIN, OF_PLANTS, PAGE, SHOWN, TABLE
+from greenroof_ros.analysis.sizing.sizes import BY_TEST, Sizes
 from greenroof_ros.analysis.tables import Table, write_range
 
 if TYPE_CHECKING:
     import polars
-
-    from greenroof_ros.analysis.sizing.sizes import Sizes
 
 _TITLE = "Which cistern for the green roof?"
 _HEADINGS = {"volume_m3": "cistern (m³)", "target_mm": "target (mm)"}
@@ -116,21 +114,14 @@ def _tabulate(
 
 def _tabulate_assumptions(sizes: Sizes) -> Table:
     """Return the table of the recommended design at both ends of every assumption."""
-    own = sizes.recommended
-    columns = {name: SHOWN[name] for name in OF_PLANTS if name in sizes.table.columns}
-
-    def row(label: str, value: str, rows: polars.DataFrame, best: float) -> list[str]:
-        (ranges,) = find_ranges(rows, BY_DESIGN).to_dicts()
-        cells = (write_range(ranges, *each) for each in columns.items())
-        return [label, value, *cells, f"{best:g}"]
-
-    used = sizes.table_of_seasons.filter(**own._asdict())
+    shown = {name: SHOWN[name] for name in OF_PLANTS if name in sizes.tested.columns}
     return Table(
         "The recommended design with each assumption at the ends of its range, one at a time",
-        ["assumption", "value", *columns.values(), "best cistern (m³)"],
+        ["assumption", "value", *shown.values(), "best cistern (m³)"],
         [
-            row("as used", "", used, own.volume_m3),
-            *(row(text, f"{value:g}", rows, best) for text, value, rows, best in sizes.tested),
+            [row["assumption"], row["value"], *(write_range(row, *each) for each in shown.items()),
+             f"{row['best_cistern_m3']:g}"]
+            for row in find_ranges(sizes.tested, BY_TEST).to_dicts()
         ],
         frozenset({0}),
     )
@@ -164,8 +155,6 @@ def _draw(
         scale=alt.Scale(type=scale, nice=False, zero=False),
     )
     series = distinguish_series("outlet", list(dict.fromkeys(table["outlet"])))
-    for channel in series.values():
-        channel.legend = alt.Legend(symbolType="stroke", symbolSize=400, columns=3)
     base, panels = alt.Chart(alt.NamedData(name)).encode(x=x, **series), []
     for each in names:
         axis = alt.Axis(format="%") if SHOWN[each].unit == "%" else alt.Axis()

@@ -14,7 +14,7 @@ from greenroof_ros.analysis.sizing import designs as plans
 from greenroof_ros.analysis.sizing.choice import KNEE, Prices, choose_volume, find_target
 from greenroof_ros.analysis.sizing.designs import BY_DESIGN, Design
 from greenroof_ros.analysis.sizing.results import COST, KEPT, LOST
-from greenroof_ros.analysis.sizing.sizes import Sizes, Tested
+from greenroof_ros.analysis.sizing.sizes import BY_TEST, Sizes
 from greenroof_ros.base.parameter import make_record, parameters_of
 from greenroof_ros.base.ranges import Range
 from greenroof_ros.controllers.registry import find_controller
@@ -91,10 +91,7 @@ def size(
     own_targets = None if targets is None else plans.read_numbers(targets, "targets", plans.TARGETS)
     knee = KNEE_RANGE.read(knee, key="knee")
     inputs = make_inputs(find_controller(plans.CONTROLLER), {
-        name: value for name, value in {
-            "site": site, "weather": weather, "evapotranspiration": evapotranspiration,
-            "gaps": gaps,
-        }.items() if value is not None
+        "site": site, "weather": weather, "evapotranspiration": evapotranspiration, "gaps": gaps,
     })
     base = inputs.read_site()
     plans.check_mains(base)
@@ -151,28 +148,31 @@ def size(
         compared, rows = sorted({*compared, *finer}), add_volumes(rows, finer)
         volume = best_volume(rows)
     best = Design(volume, target, outlet)
-    reference, tested = rows.filter(**best._asdict()), list[Tested]()
+    reference, tested = rows.filter(**best._asdict()), list[dict[str, Any]]()
     designs = [Design(each, target, outlet) for each in compared]
 
-    def test(label: str, used: float, value: float, made: polars.DataFrame) -> None:
-        if not (changed := made.filter(**best._asdict())).equals(reference):
-            tested.append(Tested(f"{label}; used: {used:g}", value, changed, best_volume(made)))
+    def test(label: str, value: str, made: polars.DataFrame) -> None:
+        changed = made.filter(**best._asdict())
+        if not (tested and changed.equals(reference)):
+            about = dict(zip(BY_TEST, (label, value, best_volume(made)), strict=True))
+            tested.extend(about | row for row in changed.drop(BY_DESIGN).to_dicts())
 
+    test("as used", "", rows)
     for (name, label, *_), value, changed in list_ends(base):
         runs = seasons
         if name == "k_Rs":  # the only one on which evapotranspiration depends
             ended, _ = inputs.read_records(changed)
             runs, _ = find_seasons(inputs, replace(ticks, k_Rs=value), ended, window)
         made = run(f"assuming {name} {value:g}", designs, changed, runs)
-        test(label, getattr(base, name), value, made)
+        test(f"{label}; used: {getattr(base, name):g}", f"{value:g}", made)
     for filled in (0.0, 1.0):
         made = run("other initial states", designs, filled=filled)
-        test("share of the cistern that is filled when a season begins", _HALF, filled, made)
+        test(f"share of the cistern filled at the start; used: {_HALF:g}", f"{filled:g}", made)
     contents, *notes = as_lines(summarize(record, base))
     left_out = [f"season {name} is left out: {why}" for name, why in incomplete.items()]
     return Sizes(
-        inputs.site.stem if isinstance(inputs.site, Path) else "", base, rows, best, tested,
-        list(seasons), f"{window}",
+        inputs.site.stem if isinstance(inputs.site, Path) else "", base, rows, best,
+        make_frame(tested), list(seasons), f"{window}",
         [*plans.list_assumed(base), *_remark(reference, volume, compared)],
         [f"{record.source}: {contents}", *notes, *list_notes(seasons, base), *left_out],
         priced, knee,

@@ -6,7 +6,7 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 from greenroof_ros.analysis.seasons import find_ranges
 from greenroof_ros.analysis.sizing.choice import Prices
@@ -20,17 +20,8 @@ if TYPE_CHECKING:
     import altair
     import polars
 
-class Tested(NamedTuple):
-    """What the recommended design gives if an assumption is at one end of its range."""
-
-    assumption: str
-    """the assumption and the value that is used, in words"""
-    value: float
-    """the other value"""
-    rows: polars.DataFrame
-    """results of the recommended design in each season"""
-    best: float
-    """the cistern that would be recommended (m3)"""
+BY_TEST = ["assumption", "value", "best_cistern_m3"]
+"""columns that identify what is assumed, and the cistern that would be recommended then"""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -45,7 +36,8 @@ class Sizes:
             come the designs that compare targets, then those that compare cisterns with the
             recommended target.
         recommended: the recommended design.
-        tested: the recommended design at both ends of each assumption, and of the initial state.
+        tested: results of the recommended design in each season, as used and at both ends of each
+            assumption, and of the initial state; :data:`BY_TEST` says which.
         seasons: names of the seasons.
         window: the days of a season, in words.
         notes: assumptions, and remarks on the results.
@@ -59,7 +51,7 @@ class Sizes:
     site: Site
     table_of_seasons: polars.DataFrame
     recommended: Design
-    tested: Sequence[Tested]
+    tested: polars.DataFrame
     seasons: Sequence[str]
     window: str
     notes: Sequence[str]

@@ -73,14 +73,14 @@ def test_what_a_site_lacks() -> None:
 def test_ends_of_the_assumptions() -> None:
     """One at a time; the percolation below field capacity needs a field capacity."""
     site = read_site(VALVE)
-    ends = [(end.assumption.name, end.value) for end in list_ends(site)]
+    ends = [(assumption.name, value) for assumption, value, _ in list_ends(site)]
     assert ends == [
         ("percolation_exponent", 1.5), ("percolation_exponent", 3.0), ("wet_after", 1.0),
         ("wet_after", 6.0), ("runoff_coefficient", 0.75), ("runoff_coefficient", 0.95),
         ("k_Rs", 0.16), ("k_Rs", 0.19),
     ]
-    assert [end.site for end in list_ends(site)][3] == replace(site, wet_after=6.0)
-    assert next(list_ends(read_site(CONFIG / "site.yaml"))).assumption.name == "wet_after"
+    assert [changed for *_, changed in list_ends(site)][3] == replace(site, wet_after=6.0)
+    assert next(list_ends(read_site(CONFIG / "site.yaml")))[0].name == "wet_after"
 
 
 def test_an_orifice_gets_a_valve() -> None:
