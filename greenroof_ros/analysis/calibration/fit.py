@@ -68,7 +68,9 @@ def simulate(
     The result matches :func:`greenroof_ros.physics.tick.step` with short ticks, because percolation
     is solved for a whole step. Runoff is solved for a constant inflow. Therefore, steps longer than
     ten minutes are subdivided while water arrives, and steps longer than an hour are always
-    subdivided. Water arrives evenly within a step. Unknown rain is treated as 0.
+    subdivided. Water arrives evenly within a step. Unknown rain is treated as 0, and unknown
+    evapotranspiration as the mean of the record, because a roof dries out even while its sensors
+    are not working.
 
     Args:
         site: site with a ``field_capacity``.
@@ -87,7 +89,7 @@ def simulate(
     starts = np.cumsum(parts) - parts
     durations = np.repeat(record.step_s / parts, parts)
     arriving = np.repeat(water * volume_flow, parts)
-    potential = np.repeat(record.reference * site.crop_coefficient * volume_flow, parts)
+    potential = np.repeat(record.drying * site.crop_coefficient * volume_flow, parts)
     volumes, flows = np.empty_like(durations), np.empty_like(durations)
     compiled(run_parts)(
         plant_parameters(site), arriving, potential, durations,

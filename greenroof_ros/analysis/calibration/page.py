@@ -23,9 +23,7 @@ MEASURED, SIMULATED = "measured", "simulated"
 def render(made: Calibration) -> str:
     """Return the page of a calibration."""
     answer = " ".join([
-        *(made.warnings or [
-            describe_scores(row) for row in made.scores if row.part == "validation"
-        ]),
+        *(describe_scores(row) for row in made.fit.scores if row.part == "validation"),
         "(The validation period was not used for the fit. An NSE of 1 is perfect; 0 is no better "
         "than the mean of the measurements.)",
     ])
@@ -34,7 +32,7 @@ def render(made: Calibration) -> str:
          SITE_KEYS[one.name].meaning] for one in made.fit.parameters
     ]
     scores = [
-        [row.quantity, row.part, *row.nse.values(), row.volume_error] for row in made.scores
+        [row.quantity, row.part, *row.nse.values(), row.volume_error] for row in made.fit.scores
     ]
     return make_page("Green roof: calibration", answer, [
         Section("Parameters", [
@@ -50,7 +48,7 @@ def render(made: Calibration) -> str:
             Table("Scores", [
                 "quantity", "part",
                 *(Column(f"NSE, {duration(time)}", "", "{:.2f}".format)
-                  for time in made.scores[0].nse),
+                  for time in made.fit.scores[0].nse),
                 Column("volume error", "%", lambda share: f"{100 * share:+.1f}"),
             ], scores),
             "NSE is the Nash-Sutcliffe efficiency of sums or means over these time spans. The "
