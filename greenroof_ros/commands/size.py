@@ -14,8 +14,6 @@ Examples:
   greenroof size --site config/site_valve.yaml --gaps fill --output sizes
                  --weather config/weather/toronto_2014-2025.csv.gz
   greenroof size --site my_site.yaml --weather record.csv --volumes 3 5 8 12 --targets 39
-  greenroof size --site my_site.yaml --weather record.csv --mains-price 4 --storm-water-price 1
-                 --cistern-price 600 --cistern-years 30
 """
 
 from __future__ import annotations
@@ -25,7 +23,7 @@ from pathlib import Path
 from greenroof_ros.analysis.sizing.choice import KNEE
 from greenroof_ros.analysis.sizing.designs import OUTLETS, TARGETS, VOLUMES
 from greenroof_ros.analysis.sizing.results import PAGE, TABLE
-from greenroof_ros.analysis.sizing.run import KNEE_RANGE, PRICES, size
+from greenroof_ros.analysis.sizing.run import KNEE_RANGE, size
 from greenroof_ros.base.command_line import (
     Parser,
     add_option,
@@ -80,11 +78,8 @@ def make_parser() -> Parser:
         default=KNEE,
         help="recommend the smallest cistern for which an additional m3 would save less than "
         "this amount per season of mains water and of storm water in the sewer (m3; default: "
-        f"{KNEE:g}, one filling). If prices are given, the recommended cistern is the smallest "
-        "one for which an additional m3 would save less than it costs",
+        f"{KNEE:g}, one filling)",
     )
-    for parameter in PRICES.values():
-        add_option(group, parameter)
     group = parser.add_argument_group("output and pace")
     group.add_argument(
         "--output", type=Path, default=Path("sizes"), metavar="DIR",

@@ -39,9 +39,6 @@ def list_sections(sizes: Sizes, figures: Sequence[Figure]) -> list[Section]:
     used = sizes.table_of_seasons.filter(**own._asdict())
     rain, on_roof, lost = used.select("rain_m3", "rain_roof_m3", LOST).mean().row(0)
     losing = f"at most {100 * MAX_LOST:g} %" if lost <= MAX_LOST else "the smallest part"
-    value = f"less than {sizes.knee_m3:g} m³ of mains water and wet-weather discharge a season"
-    if sizes.prices is not None:
-        value = f"less than it costs ({sizes.prices.yearly_cistern_price:.4g} a year)"
     first, *others = tabulate_volumes(sizes)
     return [
         Section("The recommendation", [
@@ -51,10 +48,10 @@ def list_sections(sizes: Sizes, figures: Sequence[Figure]) -> list[Section]:
             f"these roofs. Numbers are means of the seasons ({sizes.window}, "
             f"{', '.join(sizes.seasons)}), with the lowest and the highest season in brackets.",
             f"Beyond a cistern of {own.volume_m3:g} m³ ({1000 * own.volume_m3 / site.a2:.0f} L per "
-            f"m² of green roof), another m³ saves {value}. Of the targets compared, "
-            f"{own.target_mm:g} mm is the lowest at which plants lose {losing} of their "
-            "evapotranspiration for lack of water. A higher target takes more water; add what the "
-            "level sensor may be wrong by.",
+            f"m² of green roof), another m³ saves less than {sizes.knee_m3:g} m³ of mains water "
+            f"and wet-weather discharge a season. Of the targets compared, {own.target_mm:g} mm is "
+            f"the lowest at which plants lose {losing} of their evapotranspiration for lack of "
+            "water. A higher target takes more water; add what the level sensor may be wrong by.",
             f"Wet weather is the time of rain and the {site.wet_after:g} h after it. Water that "
             "the valve releases in dry weather reaches the same sewer: it counts in the discharge "
             "and in the retention, but not in the discharge in wet weather.",
@@ -101,7 +98,7 @@ def _tabulate(
     sizes: Sizes, caption: str, varied: str, table: polars.DataFrame, names: Sequence[str] = MAIN
 ) -> Table:
     """Return the table of designs that differ in a column, ``volume_m3`` or ``target_mm``."""
-    shown = {name: SHOWN[name] for name in names if name in table.columns}
+    shown = {name: SHOWN[name] for name in names}
     rows = table.to_dicts()
     own = getattr(sizes.recommended, varied)
     return Table(
@@ -114,7 +111,7 @@ def _tabulate(
 
 def _tabulate_assumptions(sizes: Sizes) -> Table:
     """Return the table of the recommended design at both ends of every assumption."""
-    shown = {name: SHOWN[name] for name in OF_PLANTS if name in sizes.tested.columns}
+    shown = {name: SHOWN[name] for name in OF_PLANTS}
     return Table(
         "The recommended design with each assumption at the ends of its range, one at a time",
         ["assumption", "value", *shown.values(), "best cistern (m³)"],

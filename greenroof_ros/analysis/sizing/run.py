@@ -11,11 +11,10 @@ from typing import TYPE_CHECKING, Any
 from greenroof_ros.analysis.assumptions import list_ends
 from greenroof_ros.analysis.seasons import find_ranges, find_seasons, list_notes, read_window
 from greenroof_ros.analysis.sizing import designs as plans
-from greenroof_ros.analysis.sizing.choice import KNEE, Prices, choose_volume, find_target
+from greenroof_ros.analysis.sizing.choice import KNEE, find_knee, find_target
 from greenroof_ros.analysis.sizing.designs import BY_DESIGN, Design
-from greenroof_ros.analysis.sizing.results import COST, KEPT, LOST
+from greenroof_ros.analysis.sizing.results import KEPT, LOST
 from greenroof_ros.analysis.sizing.sizes import BY_TEST, Sizes
-from greenroof_ros.base.parameter import make_record, parameters_of
 from greenroof_ros.base.ranges import Range
 from greenroof_ros.controllers.registry import find_controller
 from greenroof_ros.results.forked_polars import make_frame
@@ -29,7 +28,6 @@ from greenroof_ros.weather.summary import as_lines, summarize
 if TYPE_CHECKING:
     import polars
 
-PRICES = {parameter.name: parameter for parameter in parameters_of(Prices)}
 KNEE_RANGE = Range(0.0, 1e6, "m3")
 # Share of the cistern that is full when a season begins.
 _HALF = 0.5
@@ -41,7 +39,6 @@ def size(
     targets: Sequence[float] | None = None, outlets: Sequence[str] | None = None,
     season: str | None = None, knee: float = KNEE, jobs: int = 1,
     progress: Callable[[str, float], None] = lambda text, share: None,
-    **prices: float | None,
 ) -> Sizes:
     """Compare cisterns, targets and outlets over all seasons of a record, like ``greenroof size``.
 
@@ -64,9 +61,6 @@ def size(
         jobs: number of threads.
         progress: callback that receives the current task and the share of it that is done, 0 to 1;
             an error that it raises ends the runs.
-        prices: ``mains_price``, ``storm_water_price``, ``cistern_price`` (each per m3), and
-            ``cistern_years``, the number of years over which the price of the cistern is spread:
-            all four, or none.
 
     Returns:
         The results: ``.sentence``, ``.table``, ``.table_of_seasons``, ``.plot()`` and
@@ -85,8 +79,6 @@ def size(
         >>> sizes.recommended.target_mm
         36.0
     """
-    given = {name: price for name, price in prices.items() if price is not None}
-    priced = make_record(Prices, given) if given else None
     own_volumes = None if volumes is None else plans.read_numbers(volumes, "volumes", plans.VOLUMES)
     own_targets = None if targets is None else plans.read_numbers(targets, "targets", plans.TARGETS)
     knee = KNEE_RANGE.read(knee, key="knee")
@@ -111,7 +103,7 @@ def size(
         runs: Mapping[str, Run] = seasons, filled: float = _HALF,
     ) -> polars.DataFrame:
         return _simulate(
-            {each: plans.build(like, each) for each in designs}, runs, filled, priced, jobs,
+            {each: plans.build(like, each) for each in designs}, runs, filled, jobs,
             lambda share: progress(text, share),
         )
 
@@ -134,7 +126,7 @@ def size(
         volumes, mains, wet = means.sort("volume_m3").select(
             "volume_m3", "mains_m3", "wet_discharge_m3"
         ).to_numpy().T
-        return choose_volume(volumes, mains, wet, priced, knee)
+        return float(volumes[find_knee(volumes, -(mains + wet), knee)])
 
     rows = add_targets(None, own_targets or plans.choose_targets(base))
     target = best_target(rows)
@@ -175,13 +167,13 @@ def size(
         make_frame(tested), list(seasons), f"{window}",
         [*plans.list_assumed(base), *_remark(reference, volume, compared)],
         [f"{record.source}: {contents}", *notes, *list_notes(seasons, base), *left_out],
-        priced, knee,
+        knee,
     )
 
 
 def _simulate(
     designs: Mapping[Design, tuple[Site, Mapping[str, Any]]], seasons: Mapping[str, Run],
-    filled: float, prices: Prices | None, jobs: int, progress: Callable[[float], None],
+    filled: float, jobs: int, progress: Callable[[float], None],
 ) -> polars.DataFrame:
     """Simulate designs in seasons, and return a row for each design and season.
 
@@ -189,7 +181,6 @@ def _simulate(
         designs: site and parameters of each design.
         seasons: the seasons by name, for sites with the ticks of the designs.
         filled: share of the cistern that is full at the start.
-        prices: prices of water and cistern; None without costs.
         jobs: number of threads.
         progress: callback that receives the share that is done.
     """
@@ -200,11 +191,8 @@ def _simulate(
     rows = []
     for (design, season), ((results, *_), _) in zip(product(designs, seasons), made, strict=True):
         row: dict[str, Any] = {each.name: results.get(each.name) for each in METRICS}
-        rain, wet, mains = row["rain_m3"], row["wet_discharge_m3"], row["mains_m3"]
+        rain, wet = row["rain_m3"], row["wet_discharge_m3"]
         row |= {KEPT: 1 - wet / rain if rain else None, LOST: 1 - row["evapotranspiration_ratio"]}
-        if prices is not None:
-            cistern = prices.yearly_cistern_price * design.volume_m3
-            row[COST] = cistern + float(prices.cost_water(mains, wet))
         rows.append({**design._asdict(), "season": season, **row})
     return make_frame(rows, infer_schema_length=None)
 

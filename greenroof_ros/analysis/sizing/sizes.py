@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from greenroof_ros.analysis.seasons import find_ranges
-from greenroof_ros.analysis.sizing.choice import Prices
 from greenroof_ros.analysis.sizing.designs import BY_DESIGN, NONE, Design
 from greenroof_ros.analysis.sizing.results import KEPT, PAGE, SHOWN, TABLE
 from greenroof_ros.analysis.tables import write_range
@@ -32,9 +31,9 @@ class Sizes:
         name: name of the site's file, without its extension; empty without a file.
         site: the site that all designs share.
         table_of_seasons: results, with a row for each design and season. The columns are named as
-            in ``summary.json``, besides those of :data:`KEPT`, :data:`LOST` and :data:`COST`. First
-            come the designs that compare targets, then those that compare cisterns with the
-            recommended target.
+            in ``summary.json``, besides those of :data:`KEPT` and :data:`LOST`. First come the
+            designs that compare targets, then those that compare cisterns with the recommended
+            target.
         recommended: the recommended design.
         tested: results of the recommended design in each season, as used and at both ends of each
             assumption, and of the initial state; :data:`BY_TEST` says which.
@@ -42,7 +41,6 @@ class Sizes:
         window: the days of a season, in words.
         notes: assumptions, and remarks on the results.
         read: what the weather contains, what was missing in it, and which seasons are left out.
-        prices: prices of water and cistern; None if no costs are calculated.
         knee_m3: minimum volume of water that each additional m3 of cistern must save per season
             (m3).
     """
@@ -56,7 +54,6 @@ class Sizes:
     window: str
     notes: Sequence[str]
     read: Sequence[str]
-    prices: Prices | None
     knee_m3: float
 
     @property

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from greenroof_ros.analysis.sizing.choice import Prices, find_knee, find_target
+from greenroof_ros.analysis.sizing.choice import find_knee, find_target
 
 VOLUMES = [1.0, 2.0, 4.0, 8.0]
 
@@ -26,13 +26,6 @@ def test_knee(saved: list[float], amount: float, knee: int) -> None:
 def test_knee_of_one_volume() -> None:
     """It is the only one."""
     assert find_knee([3.0], np.array([0.0]), 1.0) == 0
-
-
-def test_costs() -> None:
-    """3 m3 at 2, 10 m3 at 1.5; a cistern of 600 a m3 over 30 years costs 20 a year."""
-    prices = Prices(2.0, 1.5, 600.0, 30.0)
-    assert prices.cost_water(np.array([3.0]), np.array([10.0])) == [21.0]
-    assert prices.yearly_cistern_price == 20.0
 
 
 @pytest.mark.parametrize(("lost", "target"), [

@@ -42,13 +42,12 @@ def size(directory: Path, *options: str) -> subprocess.CompletedProcess[str]:
 
 @pytest.fixture(scope="module")
 def sized(once: Once) -> Path:
-    """The directory of a run with prices: two targets, three cisterns and outlets, two weeks."""
+    """The directory of a run: two targets, three cisterns and outlets, two weeks."""
 
     def fill(directory: Path) -> None:
         result = size(
             directory, *WEEK, "--volumes", "2", "5", "10", "--targets", "30", "39", "--output",
-            "out", "--mains-price", "2", "--storm-water-price", "1", "--cistern-price", "600",
-            "--cistern-years", "30",
+            "out",
         )
         assert result.returncode == 0, result.stderr
         (directory / "printed").write_text(result.stdout)
@@ -58,7 +57,7 @@ def sized(once: Once) -> Path:
 
 @pytest.fixture(scope="module")
 def sizes() -> Sizes:
-    """The same from Python, in this process and without prices."""
+    """The same from Python, in this process."""
     return gr.size(**OPTIONS)
 
 
@@ -86,7 +85,7 @@ def test_the_sentence_comes_first(sized: Path) -> None:
 
 
 def test_the_table_has_each_design_and_season(sized: Path) -> None:
-    """Nothing that was varied is averaged over; costs and shares follow from the volumes."""
+    """Nothing that was varied is averaged over; shares follow from the volumes."""
     rows = rows_of(sized)
     assert len({
         (row["volume_m3"], row["target_mm"], row["outlet"], row["season"]) for row in rows
@@ -99,9 +98,6 @@ def test_the_table_has_each_design_and_season(sized: Path) -> None:
         )
         assert value["evapotranspiration_lost_share"] == pytest.approx(
             1 - value["evapotranspiration_ratio"]
-        )
-        assert value["cost"] == pytest.approx(
-            2 * value["mains_m3"] + value["wet_discharge_m3"] + 20 * value["volume_m3"]
         )
     comments = (sized / "out" / "sizes.csv").read_text().partition("volume_m3")[0]
     assert "the cistern half full" in comments and "were filled" in comments
@@ -238,11 +234,6 @@ WRONG: list[tuple[dict[str, Any], str]] = [
     ({"season": "05-01/10-31"}, "does not cover a complete season, 1 May to 31 October"),
     ({"season": "summer"}, "season = 'summer': must be the first and the last day"),
     ({"knee": -1}, "knee = -1: must be"),
-    ({"mains_price": 2.0}, "storm_water_price: is missing: value of 1 m3 of storm"),
-    ({"mains_price": -2.0, "storm_water_price": 1, "cistern_price": 1, "cistern_years": 30},
-     "mains_price = -2.0: must be"),
-    ({"mains_price": 2, "storm_water_price": 1, "cistern_price": 1, "cistern_years": 0},
-     "cistern_years = 0: must be"),
 ]
 
 
@@ -266,7 +257,6 @@ def test_a_site_without_its_place(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("options", "message"), [
     (["--volumes", "5,0"], "--volumes: must be a number from 0.05 to 100000, with a decimal"),
-    (["--cistern-price", "600"], "error: --mains-price: is missing: price of 1 m3 of mains"),
     (["--season", "04-01/10-31"], "does not cover a complete season, 1 April to 31 October"),
     (["--output", "mine"],
      "error: --output = 'mine': exists and is not empty: it contains letter.txt;"),
