@@ -49,8 +49,6 @@ _ROBUST_FROM = 10.0
 # this.
 _UNIDENTIFIED = 1e-3
 _STEP = 1e-3
-# If half an interval exceeds this share of the value or range, the data hardly constrain it.
-_HARDLY = 0.5
 # A group with more than this share of the information about a parameter determines it alone.
 _ALONE = 0.99
 # Longest parts of steps (s): with water, within which the drainage layer's inflow hardly changes;
@@ -219,7 +217,7 @@ class FittedParameter(NamedTuple):
     """end of the 95 % interval; NaN if the data do not determine it"""
     high: float
     reason: str
-    """reason why it was not fitted, or is uncertain; empty if the data determine it"""
+    """reason why it was not fitted, or what its interval means; empty if the data determine it"""
 
     @property
     def interval(self) -> str:
@@ -383,7 +381,7 @@ def _identify(jacobian: Values) -> Steps:
 
 
 def _judge(parameter: FitRange, share: float, half: float) -> FittedParameter:
-    """Return a parameter with its interval, and the reason if the parameter is uncertain.
+    """Return a parameter with its interval, or the reason if there is none.
 
     Args:
         parameter: name and range of the parameter.
@@ -397,8 +395,6 @@ def _judge(parameter: FitRange, share: float, half: float) -> FittedParameter:
         why = "the record does not determine it"
     elif not 0.005 < share < 0.995:
         why = f"at the limit of its range ({parameter.low:.3g} to {parameter.high:.3g})"
-    elif high - low > _HARDLY * 2 * abs(value) or half > _HARDLY:
-        why = "the record hardly constrains it"
     return FittedParameter(parameter.name, value, low, high, why)
 
 

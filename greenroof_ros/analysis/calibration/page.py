@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import altair as alt
 import numpy as np
+import polars as pl
 
 from greenroof_ros.analysis.calibration.record import DAY_S, combine
 from greenroof_ros.analysis.calibration.result import (
@@ -11,7 +12,7 @@ from greenroof_ros.analysis.calibration.result import (
     Calibration,
     describe_scores,
 )
-from greenroof_ros.analysis.figures import Figure, Panel, distinguish_series, round_value
+from greenroof_ros.analysis.figures import Figure, Panel, distinguish_series
 from greenroof_ros.analysis.page import Section, make_page
 from greenroof_ros.analysis.tables import Column, Table
 from greenroof_ros.base.times import duration
@@ -70,11 +71,10 @@ def draw_quantity(quantity: str, made: Calibration) -> Figure:
         for each in (record.measured[quantity], made.fit.simulated[quantity])
     )
     days = np.unique(seconds // DAY_S) * DAY_S
-    rows = [
-        {"t": 1000 * day, "part": parts[int(day >= begin)], MEASURED: round_value(ours),
-         SIMULATED: round_value(theirs), "error": round_value(theirs - ours)}
-        for day, ours, theirs in zip(days.tolist(), was.tolist(), now.tolist(), strict=True)
-    ]
+    rows = pl.DataFrame({
+        "t": 1000 * days, "part": np.where(days >= begin, parts[1], parts[0]), MEASURED: was,
+        SIMULATED: now, "error": now - was,
+    }).to_dicts()
     time = alt.X("t:T", title=None, scale=alt.Scale(type="utc"),
                  axis=alt.Axis(tickCount=8, format="%d %b %y"))
     data = alt.Chart(alt.NamedData(f"{name}-days"))

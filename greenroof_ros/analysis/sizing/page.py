@@ -12,14 +12,25 @@ from greenroof_ros.analysis.figures import Figure, Panel, distinguish_series
 from greenroof_ros.analysis.page import Section, make_page, write_output
 from greenroof_ros.analysis.seasons import find_ranges
 from greenroof_ros.analysis.sizing.choice import MAX_LOST
-from greenroof_ros.analysis.sizing.results import LOST, MAIN, OF_PLANTS, PAGE, SHOWN, TABLE
-from greenroof_ros.analysis.sizing.sizes import BY_TEST, Sizes
+from greenroof_ros.analysis.sizing.results import (
+    BY_TEST,
+    KEPT,
+    LOST,
+    MAIN,
+    PAGE,
+    SHOWN,
+    TABLE,
+)
 from greenroof_ros.analysis.tables import Table, write_range
 
 if TYPE_CHECKING:
     import polars
 
+    from greenroof_ros.analysis.sizing.sizes import Sizes
+
 _TITLE = "Which cistern for the green roof?"
+_RESTS_ON = ("mains_m3", "wet_discharge_m3", KEPT, "discharge_m3", LOST)
+_OF_TARGETS = (*MAIN, LOST, "stress_hours")
 _HEADINGS = {"volume_m3": "cistern (m³)", "target_mm": "target (mm)"}
 
 
@@ -46,7 +57,8 @@ def list_sections(sizes: Sizes, figures: Sequence[Figure]) -> list[Section]:
             f"cistern, which receives {100 * site.runoff_coefficient:g} % of the rain on them. In "
             f"a season, {1000 * on_roof / site.a2:.0f} mm of rain falls, {rain:.3g} m³ on all of "
             f"these roofs. Numbers are means of the seasons ({sizes.window}, "
-            f"{', '.join(sizes.seasons)}), with the lowest and the highest season in brackets.",
+            f"{', '.join(sizes.seasons)}), with the lowest and the highest season in brackets; "
+            "percentages are means of the seasons' percentages.",
             f"Beyond a cistern of {own.volume_m3:g} m³ ({1000 * own.volume_m3 / site.a2:.0f} L per "
             f"m² of green roof), another m³ saves less than {sizes.knee_m3:g} m³ of mains water "
             f"and wet-weather discharge a season. Of the targets compared, {own.target_mm:g} mm is "
@@ -64,7 +76,7 @@ def list_sections(sizes: Sizes, figures: Sequence[Figure]) -> list[Section]:
         ]),
         Section("Other targets and outlets", [
             _tabulate(sizes, f"Targets, cistern {sizes.table['volume_m3'][0]:g} m³, "
-                      f"{own.described_outlet}", "target_mm", _select_targets(sizes), OF_PLANTS),
+                      f"{own.described_outlet}", "target_mm", _select_targets(sizes), _OF_TARGETS),
             *others,
         ], folded=True),
         Section("What was read", [sizes.read]),
@@ -111,7 +123,7 @@ def _tabulate(
 
 def _tabulate_assumptions(sizes: Sizes) -> Table:
     """Return the table of the recommended design at both ends of every assumption."""
-    shown = {name: SHOWN[name] for name in OF_PLANTS}
+    shown = {name: SHOWN[name] for name in _RESTS_ON}
     return Table(
         "The recommended design with each assumption at the ends of its range, one at a time",
         ["assumption", "value", *shown.values(), "best cistern (m³)"],

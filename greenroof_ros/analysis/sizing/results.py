@@ -5,6 +5,8 @@ from __future__ import annotations
 from greenroof_ros.analysis.tables import COLUMNS, Column, format_share
 
 PAGE, TABLE = "sizes.html", "sizes.csv"
+BY_TEST = ["assumption", "value", "best_cistern_m3"]
+"""columns that identify what is assumed, and the cistern that would be recommended then"""
 
 KEPT, LOST = "storm_water_kept_share", "evapotranspiration_lost_share"
 """Results besides the metrics: the share of the rain on roof and catchment that does not reach the
@@ -17,6 +19,4 @@ SHOWN = COLUMNS | {
 }
 """the presentation of each result, by name"""
 MAIN = ("mains_m3", "wet_discharge_m3", KEPT, "discharge_m3", "retention_share")
-"""the results in every table"""
-OF_PLANTS = (*MAIN, LOST, "stress_hours")
-"""those in tables of what plants lose"""
+"""the results in tables of cisterns"""

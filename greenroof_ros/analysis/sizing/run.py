@@ -13,8 +13,8 @@ from greenroof_ros.analysis.seasons import find_ranges, find_seasons, list_notes
 from greenroof_ros.analysis.sizing import designs as plans
 from greenroof_ros.analysis.sizing.choice import KNEE, find_knee, find_target
 from greenroof_ros.analysis.sizing.designs import BY_DESIGN, Design
-from greenroof_ros.analysis.sizing.results import KEPT, LOST
-from greenroof_ros.analysis.sizing.sizes import BY_TEST, Sizes
+from greenroof_ros.analysis.sizing.results import BY_TEST, KEPT, LOST
+from greenroof_ros.analysis.sizing.sizes import Sizes
 from greenroof_ros.base.ranges import Range
 from greenroof_ros.controllers.registry import find_controller
 from greenroof_ros.results.forked_polars import make_frame

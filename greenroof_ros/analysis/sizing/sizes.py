@@ -19,9 +19,6 @@ if TYPE_CHECKING:
     import altair
     import polars
 
-BY_TEST = ["assumption", "value", "best_cistern_m3"]
-"""columns that identify what is assumed, and the cistern that would be recommended then"""
-
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Sizes:
@@ -36,7 +33,7 @@ class Sizes:
             target.
         recommended: the recommended design.
         tested: results of the recommended design in each season, as used and at both ends of each
-            assumption, and of the initial state; :data:`BY_TEST` says which.
+            assumption, and of the initial state; :data:`.results.BY_TEST` says which.
         seasons: names of the seasons.
         window: the days of a season, in words.
         notes: assumptions, and remarks on the results.
