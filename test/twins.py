@@ -66,8 +66,7 @@ def record_rows(
     The plant steps the true roof, with ticks of 5 s while it rains and with the record's steps
     otherwise. Its level is measured with a noise of 2 mm, its runoff by a counter of tips; three
     gaps of a day have neither. With pumping, every fourth day has two periods of ten minutes
-    at a quarter of the flow, if the cistern is not too low; the cistern's level has the same
-    noise.
+    at a quarter of the flow, if the cistern is not too low.
     """
     random = np.random.default_rng(seed)
     rain = storms(days, random)
@@ -85,13 +84,13 @@ def record_rows(
     wet, dry = (plant_parameters(replace(site, tau=tau)) for tau in (_TICK_S, float(STEP_S)))
     pair = np.arange(len(rain)) % (4 * DAY) // 2
     command = np.where(pumping & ((pair == 40) | (pair == 60)), 0.25, 0.0)
-    level, cistern, runoff = [], [], []
+    level, pumped, runoff = [], [], []
     for step, (fell, wanted_mm) in enumerate(zip(rain.tolist(), reference.tolist(), strict=True)):
         plant, ticks = (wet, round(STEP_S / _TICK_S)) if fell > 0 or command[step] > 0 else (dry, 1)
         drained = 0.0
-        cistern.append(state.cistern / site.a1)
         level.append(state.roof / site.a2)
-        if cistern[-1] < site.suction_level + 0.3:
+        pumped.append(0.0)
+        if state.cistern / site.a1 < site.suction_level + 0.3:
             command[step] = 0.0
         for _ in range(ticks):
             state, flows = tick.step(
@@ -100,6 +99,7 @@ def record_rows(
                 float(command[step]) * maximum_pump_flow(plant, state.cistern),
             )
             drained += flows.drainage * STEP_S / ticks
+            pumped[-1] += flows.pump * STEP_S / ticks * 1000 / site.a2
         runoff.append(drained * 1000 / site.a2)
     measured = np.array(level) + random.normal(0, NOISE_M, len(level))
     tips = np.diff(np.floor(np.concatenate(([0.0], np.cumsum(runoff))) / TIP_MM)) * TIP_MM
@@ -116,9 +116,9 @@ def record_rows(
                      *([f"{minimum[day[step]]:.1f}", f"{maximum[day[step]]:.1f}"]
                        if step % DAY == 0 else ["", ""])])
     if pumping:
-        rows[0] += ["pump state [%]", "cistern level [m]"]
-        for step, depth in enumerate(np.array(cistern) + random.normal(0, NOISE_M, len(rain))):
-            rows[step + 1] += [f"{100 * command[step]:.0f}", f"{depth:.4f}"]
+        for row, cell in zip(rows, ["pumped [mm]", *(f"{depth:.4f}" for depth in pumped)],
+                             strict=True):
+            row.append(cell)
     return rows
 
 

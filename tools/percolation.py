@@ -85,7 +85,7 @@ def read_roof(files: Sequence[Path], site: Site) -> StepRecord:
         whole[measured[0]:measured[-1]].to_csv(
             copy, index_label="time", date_format="%Y-%m-%dT%H:%M"
         )
-        return read_csv_record(copy, site, MONTHS)
+        return read_csv_record(copy, site)
 
 
 def fit_roof(files: Sequence[Path], name: str) -> list[Half]:

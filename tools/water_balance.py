@@ -173,7 +173,7 @@ def main() -> None:
         year: hours.loc[f"{year}-05-01":f"{year}-10-31"].resample("D").sum()
         for year in sizes.seasons
     }
-    table = compare(sizes, seasons, sizes.recommended.target)
+    table = compare(sizes, seasons, sizes.recommended.target_mm)
     print(table.to_string(index=False, float_format="%.3f"))
 
 

@@ -41,19 +41,10 @@ ASSUMPTIONS = (
 )
 
 
-class End(NamedTuple):
-    """One end of an assumption."""
-
-    assumption: Assumption
-    value: float
-    site: Site
-    """the site with this value"""
-
-
-def list_ends(site: Site) -> Iterator[End]:
-    """Yield both ends of every assumption that affects a site, one assumption at a time."""
+def list_ends(site: Site) -> Iterator[tuple[Assumption, float, Site]]:
+    """Yield both ends of every assumption that affects a site, each with a site that has it."""
     for each in ASSUMPTIONS:
         if each.name != "percolation_exponent" or site.field_capacity is not None:
             for value in (each.low, each.high):
                 changed: dict[str, Any] = {each.name: value}
-                yield End(each, value, replace(site, **changed))
+                yield each, value, replace(site, **changed)

@@ -83,53 +83,34 @@ def find_seasons(
     """
     runs: dict[str, Run] = {}
     incomplete: dict[str, str] = {}
-    first, last = max(FIRST_YEAR, weather.first.year - 1), min(weather.end.year, LAST_YEAR)
-    for year in range(first, last + 1):
-        try:
-            run = replace(
-                inputs, site=site, weather=weather, hours=24.0 * window.days,
-                start=_begin(weather, site, year, window).isoformat(), initial=None, cistern=None,
-                roof=None,
-            ).build()
-        except ConfigurationError as error:
-            if error.file != weather.source and error.key != "start":
-                raise
-            if reason := _find_reason(weather, site, year, window, error):
-                incomplete[window.name(year)] = reason
-        else:
-            runs[window.name(year)] = run
-    if not runs:
-        seasons = "".join(f"; {name}: {why}" for name, why in incomplete.items())
-        raise ConfigurationError(
-            f"does not cover a complete season, {window}: the record is from "
-            f"{to_minutes(weather.first)} to {to_minutes(weather.end)}{seasons}. Choose other days "
-            "with season, or fill missing hours (gaps: fill)", file=weather.source,
-        )
-    return runs, incomplete
-
-
-def _begin(weather: Weather, site: Site, year: int, window: Window) -> datetime:
-    """Return when a season begins: midnight of standard time, or of the record without a zone."""
+    # Midnight of standard time, or of the record without a zone.
     zone = weather.first.tzinfo if site.time_zone is None else (
         timezone(timedelta(hours=site.clock_offset))
     )
-    return datetime(year, window.first.month, window.first.day, tzinfo=zone)
-
-
-def _find_reason(
-    weather: Weather, site: Site, year: int, window: Window, error: ConfigurationError
-) -> str:
-    """Return the reason why the season that begins in a year is incomplete.
-
-    The reason is empty if the record contains no part of the season.
-    """
-    start = _begin(weather, site, year, window)
-    end = start + timedelta(window.days)
-    if end <= weather.first or weather.end <= start:
-        return ""
-    if start < weather.first or weather.end < end:
-        return f"the record is from {to_minutes(weather.first)} to {to_minutes(weather.end)}"
-    return error.expected.partition("; ")[0]
+    record = f"the record is from {to_minutes(weather.first)} to {to_minutes(weather.end)}"
+    first, last = max(FIRST_YEAR, weather.first.year - 1), min(weather.end.year, LAST_YEAR)
+    for year in range(first, last + 1):
+        begin = datetime(year, window.first.month, window.first.day, tzinfo=zone)
+        end, name = begin + timedelta(window.days), window.name(year)
+        if weather.first <= begin and end <= weather.end:
+            try:
+                runs[name] = replace(
+                    inputs, site=site, weather=weather, hours=24.0 * window.days,
+                    start=begin.isoformat(), initial=None, cistern=None, roof=None,
+                ).build()
+            except ConfigurationError as error:
+                if error.file != weather.source:
+                    raise
+                incomplete[name] = error.expected.partition("; ")[0]
+        elif weather.first < end and begin < weather.end:
+            incomplete[name] = record
+    if not runs:
+        seasons = "".join(f"; {name}: {why}" for name, why in incomplete.items())
+        raise ConfigurationError(
+            f"does not cover a complete season, {window}: {record}{seasons}. Choose other days "
+            "with season, or fill missing hours (gaps: fill)", file=weather.source,
+        )
+    return runs, incomplete
 
 
 def list_notes(runs: Mapping[str, Run], site: Site) -> list[str]:

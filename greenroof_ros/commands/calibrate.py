@@ -71,13 +71,12 @@ def main() -> None:
         from greenroof_ros.analysis.calibration.page import render
     with ProgressBar() as progress, rename_keys({"months": "--months"}):
         made = calibrate(arguments.measured, arguments.site, arguments.months, progress.show)
-    for kind in "note", "warning":
-        print_lines(kind, getattr(made, f"{kind}s"))
+    print_lines("note", made.notes)
     for file, content in ((page_file, render(made)), (arguments.output, made.site_file)):
         with add_path_to_errors(file):
             file.write_text(content, encoding="utf-8")
     console = PlainConsole()
-    console.print("\n".join(map(describe_scores, made.scores)))
+    console.print("\n".join(map(describe_scores, made.fit.scores)))
     console.print_table("Parameters", ["parameter", "value", "95 % interval", ""], [
         [each.name, f"{each.value:.4g}", each.interval or "not fitted", each.reason]
         for each in made.fit.parameters

@@ -6,7 +6,7 @@ what it rests on. No forecast of rain is used.
 
 The outlets are: none; drain, a valve that drains the cistern down to a reserve in dry weather; and
 plan, a valve that retains the water that plants take up in 20 days. A site must have a mains
-top-up. An outlet valve that its file lacks is assumed, and the results state this.
+top-up, and a low outlet if valves are to be compared.
 
 Exit codes: 0 done, 2 bad usage or configuration, 130 interrupted
 
@@ -14,8 +14,6 @@ Examples:
   greenroof size --site config/site_valve.yaml --gaps fill --output sizes
                  --weather config/weather/toronto_2014-2025.csv.gz
   greenroof size --site my_site.yaml --weather record.csv --volumes 3 5 8 12 --targets 39
-  greenroof size --site my_site.yaml --weather record.csv --mains-price 4 --storm-water-price 1
-                 --cistern-price 600 --cistern-years 30
 """
 
 from __future__ import annotations
@@ -24,8 +22,8 @@ from pathlib import Path
 
 from greenroof_ros.analysis.sizing.choice import KNEE
 from greenroof_ros.analysis.sizing.designs import OUTLETS, TARGETS, VOLUMES
-from greenroof_ros.analysis.sizing.results import MAIN, PAGE, TABLE
-from greenroof_ros.analysis.sizing.run import KNEE_RANGE, PRICES, size
+from greenroof_ros.analysis.sizing.results import PAGE, TABLE
+from greenroof_ros.analysis.sizing.run import KNEE_RANGE, size
 from greenroof_ros.base.command_line import (
     Parser,
     add_option,
@@ -71,7 +69,8 @@ def make_parser() -> Parser:
     )
     group.add_argument(
         "--outlets", nargs="+", choices=OUTLETS,
-        help="compare these types of cistern outlet (default: all)",
+        help="compare these types of cistern outlet (default: all, or only none for a site without "
+        "a low outlet)",
     )
     group = parser.add_argument_group("value of a larger cistern")
     group.add_argument(
@@ -79,11 +78,8 @@ def make_parser() -> Parser:
         default=KNEE,
         help="recommend the smallest cistern for which an additional m3 would save less than "
         "this amount per season of mains water and of storm water in the sewer (m3; default: "
-        f"{KNEE:g}, one filling). If prices are given, the recommended cistern is the smallest "
-        "one for which an additional m3 would save less than it costs",
+        f"{KNEE:g}, one filling)",
     )
-    for parameter in PRICES.values():
-        add_option(group, parameter)
     group = parser.add_argument_group("output and pace")
     group.add_argument(
         "--output", type=Path, default=Path("sizes"), metavar="DIR",
@@ -113,7 +109,7 @@ def main() -> None:
         page = sizes.save(output)
     console = PlainConsole()
     console.print(sizes.sentence, style="bold")
-    table = tabulate_volumes(sizes, MAIN)[0]
+    table = tabulate_volumes(sizes)[0]
     console.print_table(table.caption, table.headings(), table.texts(), table.marked)
     for note in (*sizes.read, *sizes.notes):
         console.print(f"NOTE: {note}")

@@ -1,7 +1,7 @@
 """Score rain forecasts against records, by lead time and by the hours over which rain is summed.
 
-Sums that reach a given amount are also scored as events. FORECASTS is an archive: a file or a
-directory of files, as for the option --forecast of simulate. The scores are:
+Sums of at least 1, 2, 3 and 5 mm in 1, 6, 12 and 24 h are also scored as events. FORECASTS is an
+archive: a file or a directory of files, as for the option --forecast of simulate. The scores are:
 
   bias   forecast rain divided by observed rain
   r      correlation
@@ -16,7 +16,7 @@ For an ensemble, the first five scores use member 0, and the last two use all me
 
 Examples:
   greenroof verify gem_previous_runs.csv --weather gauge.csv
-  greenroof verify gem_runs/ --weather 'hourly_*.csv' --lead 6 --sums 1 6 --events 1 2
+  greenroof verify gem_runs/ --weather 'hourly_*.csv' --lead 6
 
 Exit codes: 0 done, 2 bad usage, configuration or file
 """
@@ -53,19 +53,9 @@ def make_parser() -> Parser:
     add_site(parser, "use the location in this site file")
     hours = make_number_type(1, 384, int)
     parser.add_argument(
-        "--sums", type=hours, nargs="+", metavar="H",
-        help="hours over which rain is summed (default: those of 1, 6, 12 and 24 that divide "
-        "--lead)",
-    )
-    parser.add_argument(
-        "--events", type=make_number_type(1e-3, 1e3), nargs="+", metavar="MM",
-        help="amounts from which sums count as events (mm), one for each value of --sums "
-        "(default: 1, 2, 3 and 5)",
-    )
-    parser.add_argument(
         "--lead", type=hours, default=24, metavar="H",
-        help="length of the blocks of lead time that are scored together (h), a multiple of "
-        "every value of --sums (default: %(default)s, one day)",
+        help="length of the blocks of lead time that are scored together (h); rain is summed over "
+        "1, 6, 12 and 24 h, as far as these divide it (default: %(default)s, one day)",
     )
     parser.add_argument(
         "--horizon", type=hours, default=120, metavar="H",
@@ -95,7 +85,6 @@ def main() -> None:
         for row in made.rows
     ])
     print_lines("note", made.notes)
-    print_lines("warning", made.warnings)
     if output is not None:
         with add_path_to_errors(output):
             output.write_text(format_csv(made.rows[0], made.rows), encoding="utf-8")

@@ -293,33 +293,32 @@ def find_extremes(
 
 def spread_hargreaves(
     site: Place, dates: Days, extremes: Array, seconds: NDArray[np.int64], step_s: float
-) -> tuple[Array, NDArray[np.bool_]]:
-    """Return each step's reference evapotranspiration (mm) by Hargreaves' method.
+) -> Array:
+    """Return each step's reference evapotranspiration (mm) by Hargreaves' method, shape (steps,).
 
     Every step receives a share of the evapotranspiration of the day in which it begins. On days
-    without extremes, the extremes are interpolated.
+    without extremes, the extremes are interpolated. The result is NaN on a day that is more than
+    three days from any day with extremes.
 
     Args:
         site: site with its location, and the UTC offset of the clock of the steps.
         dates: dates of days, in chronological order.
         extremes: minimum and maximum temperatures of these days (degC), shape (2, days); NaN if
-            unknown. At least one day must be known.
+            unknown.
         seconds: start of every step, in local standard time, shape (steps,).
         step_s: duration of a step (s).
-
-    Returns:
-        The depths, shape (steps,), and a mask of the steps on days that are more than three days
-        from any day with extremes.
     """
     days, day = np.unique(seconds // _DAY_S, return_inverse=True)
     at, unknown = dates.astype(np.int64), np.isnan(extremes)
+    if unknown.all():
+        return np.full(len(seconds), np.nan)
     minimum, maximum = (
         np.interp(days, at[~missing], values[~missing])
         for values, missing in zip(extremes, unknown, strict=True)
     )
     daily = hargreaves(site.latitude or 0.0, days.astype("datetime64[D]"), minimum, maximum)
     far = np.abs(days[:, None] - at[~unknown.any(axis=0)]).min(axis=1) > _MAX_GAP_DAYS
-    return spread_over_day(daily, site, seconds, step_s), far[day]
+    return np.where(far[day], np.nan, spread_over_day(daily, site, seconds, step_s))
 
 
 def compute_hargreaves(records: Records, site: Place) -> Array:
@@ -339,7 +338,5 @@ def compute_hargreaves(records: Records, site: Place) -> Array:
     seconds = _find_local_seconds(records.first, records.hours, site)
     days, day = np.unique(seconds // _DAY_S, return_inverse=True)
     extremes = find_extremes(day, temperature, temperature, _ENOUGH_H)
-    if np.isnan(extremes).all():
-        return np.full(records.hours, np.nan)
-    depths, far = spread_hargreaves(site, days.astype("datetime64[D]"), extremes, seconds, 3600)
-    return np.where(far, np.nan, depths * 24 * site.crop_coefficient)
+    depths = spread_hargreaves(site, days.astype("datetime64[D]"), extremes, seconds, 3600)
+    return depths * 24 * site.crop_coefficient

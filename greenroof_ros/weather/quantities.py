@@ -67,8 +67,6 @@ ROOF = {
     "runoff": Quantity("mm/h", -0.1, 2000.0, ("depth", "volume")),
     "pumped": Quantity("mm/h", -0.1, 2000.0, ("depth", "volume")),
     "level": Quantity("m", -0.1, 100.0, ("length",)),
-    "cistern level": Quantity("m", -0.1, 100.0, ("length",)),
-    "pump state": Quantity("1", -0.02, 1.02, ("share",)),
 }
 """the quantities of a roof"""
 QUANTITIES = {**WEATHER, **ROOF}
@@ -84,7 +82,6 @@ _UNITS = {
     "speed": {"km/h": 1.0, "m/s": 1 / 3.6, "kn": 1 / 1.852, "mph": 1 / 1.609344},
     "pressure": {"kPa": 1.0, "hPa": 10.0, "mbar": 10.0, "inHg": 1 / 3.386389, "mmHg": 7.500617},
     "percentage": {"%": 1.0, "1": 0.01},
-    "share": {"%": 100.0, "1": 1.0},
     "length": {"m": 1.0, "cm": 100.0, "mm": 1000.0},
 }
 # Amounts are totals in the interval of a row or, with "/" and a time, rates.

@@ -49,8 +49,6 @@ _ROBUST_FROM = 10.0
 # this.
 _UNIDENTIFIED = 1e-3
 _STEP = 1e-3
-# If half an interval exceeds this share of the value or range, the data hardly constrain it.
-_HARDLY = 0.5
 # A group with more than this share of the information about a parameter determines it alone.
 _ALONE = 0.99
 # Longest parts of steps (s): with water, within which the drainage layer's inflow hardly changes;
@@ -68,7 +66,9 @@ def simulate(
     The result matches :func:`greenroof_ros.physics.tick.step` with short ticks, because percolation
     is solved for a whole step. Runoff is solved for a constant inflow. Therefore, steps longer than
     ten minutes are subdivided while water arrives, and steps longer than an hour are always
-    subdivided. Water arrives evenly within a step. Unknown rain is treated as 0.
+    subdivided. Water arrives evenly within a step. Unknown rain is treated as 0, and unknown
+    evapotranspiration as the mean of the record, because a roof dries out even while its sensors
+    are not working.
 
     Args:
         site: site with a ``field_capacity``.
@@ -87,7 +87,7 @@ def simulate(
     starts = np.cumsum(parts) - parts
     durations = np.repeat(record.step_s / parts, parts)
     arriving = np.repeat(water * volume_flow, parts)
-    potential = np.repeat(record.reference * site.crop_coefficient * volume_flow, parts)
+    potential = np.repeat(record.drying * site.crop_coefficient * volume_flow, parts)
     volumes, flows = np.empty_like(durations), np.empty_like(durations)
     compiled(run_parts)(
         plant_parameters(site), arriving, potential, durations,
@@ -217,7 +217,7 @@ class FittedParameter(NamedTuple):
     """end of the 95 % interval; NaN if the data do not determine it"""
     high: float
     reason: str
-    """reason why it was not fitted, or is uncertain; empty if the data determine it"""
+    """reason why it was not fitted, or what its interval means; empty if the data determine it"""
 
     @property
     def interval(self) -> str:
@@ -381,7 +381,7 @@ def _identify(jacobian: Values) -> Steps:
 
 
 def _judge(parameter: FitRange, share: float, half: float) -> FittedParameter:
-    """Return a parameter with its interval, and the reason if the parameter is uncertain.
+    """Return a parameter with its interval, or the reason if there is none.
 
     Args:
         parameter: name and range of the parameter.
@@ -395,8 +395,6 @@ def _judge(parameter: FitRange, share: float, half: float) -> FittedParameter:
         why = "the record does not determine it"
     elif not 0.005 < share < 0.995:
         why = f"at the limit of its range ({parameter.low:.3g} to {parameter.high:.3g})"
-    elif high - low > _HARDLY * 2 * abs(value) or half > _HARDLY:
-        why = "the record hardly constrains it"
     return FittedParameter(parameter.name, value, low, high, why)
 
 

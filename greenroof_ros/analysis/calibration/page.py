@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import altair as alt
 import numpy as np
+import polars as pl
 
 from greenroof_ros.analysis.calibration.record import DAY_S, combine
 from greenroof_ros.analysis.calibration.result import (
@@ -11,7 +12,7 @@ from greenroof_ros.analysis.calibration.result import (
     Calibration,
     describe_scores,
 )
-from greenroof_ros.analysis.figures import Figure, Panel, distinguish_series, round_value
+from greenroof_ros.analysis.figures import Figure, Panel, distinguish_series
 from greenroof_ros.analysis.page import Section, make_page
 from greenroof_ros.analysis.tables import Column, Table
 from greenroof_ros.base.times import duration
@@ -23,9 +24,7 @@ MEASURED, SIMULATED = "measured", "simulated"
 def render(made: Calibration) -> str:
     """Return the page of a calibration."""
     answer = " ".join([
-        *(made.warnings or [
-            describe_scores(row) for row in made.scores if row.part == "validation"
-        ]),
+        *(describe_scores(row) for row in made.fit.scores if row.part == "validation"),
         "(The validation period was not used for the fit. An NSE of 1 is perfect; 0 is no better "
         "than the mean of the measurements.)",
     ])
@@ -34,7 +33,7 @@ def render(made: Calibration) -> str:
          SITE_KEYS[one.name].meaning] for one in made.fit.parameters
     ]
     scores = [
-        [row.quantity, row.part, *row.nse.values(), row.volume_error] for row in made.scores
+        [row.quantity, row.part, *row.nse.values(), row.volume_error] for row in made.fit.scores
     ]
     return make_page("Green roof: calibration", answer, [
         Section("Parameters", [
@@ -50,7 +49,7 @@ def render(made: Calibration) -> str:
             Table("Scores", [
                 "quantity", "part",
                 *(Column(f"NSE, {duration(time)}", "", "{:.2f}".format)
-                  for time in made.scores[0].nse),
+                  for time in made.fit.scores[0].nse),
                 Column("volume error", "%", lambda share: f"{100 * share:+.1f}"),
             ], scores),
             "NSE is the Nash-Sutcliffe efficiency of sums or means over these time spans. The "
@@ -72,11 +71,10 @@ def draw_quantity(quantity: str, made: Calibration) -> Figure:
         for each in (record.measured[quantity], made.fit.simulated[quantity])
     )
     days = np.unique(seconds // DAY_S) * DAY_S
-    rows = [
-        {"t": 1000 * day, "part": parts[int(day >= begin)], MEASURED: round_value(ours),
-         SIMULATED: round_value(theirs), "error": round_value(theirs - ours)}
-        for day, ours, theirs in zip(days.tolist(), was.tolist(), now.tolist(), strict=True)
-    ]
+    rows = pl.DataFrame({
+        "t": 1000 * days, "part": np.where(days >= begin, parts[1], parts[0]), MEASURED: was,
+        SIMULATED: now, "error": now - was,
+    }).to_dicts()
     time = alt.X("t:T", title=None, scale=alt.Scale(type="utc"),
                  axis=alt.Axis(tickCount=8, format="%d %b %y"))
     data = alt.Chart(alt.NamedData(f"{name}-days"))

@@ -12,16 +12,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from greenroof_ros.analysis.report.runs import read_about, run_directory
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.times import duration
-from greenroof_ros.physics.pump import maximum_pump_flow
 from greenroof_ros.results.bag_read import load_bag
-from greenroof_ros.site.file import read_site
 from greenroof_ros.site.site import Site
 from greenroof_ros.weather.description import END
 from greenroof_ros.weather.evapotranspiration import (
-    COMPUTED,
     HARGREAVES,
     check_place,
     find_extremes,
@@ -67,7 +63,7 @@ class StepRecord:
         start: start of the first step, with a UTC offset.
         step_s: duration of a step (s).
         rain: rain (mm), shape (steps,).
-        reference: evapotranspiration of the FAO-56 reference grass (mm); never NaN.
+        reference: evapotranspiration of the FAO-56 reference grass (mm).
         pumped: water pumped onto the roof (mm).
         measured: what a simulation is compared with: ``runoff`` from the roof (mm), and the water
             ``level`` in the substrate at the start of the step (m), or one of them.
@@ -99,6 +95,12 @@ class StepRecord:
     def water(self) -> Values:
         """Sum of the rain and the pumped water on the roof (mm); unknown amounts count as 0."""
         return np.asarray(np.nan_to_num(self.rain) + np.nan_to_num(self.pumped))
+
+    @property
+    def drying(self) -> Values:
+        """The reference evapotranspiration, or its mean where it is unknown (mm)."""
+        unknown = np.isnan(self.reference)
+        return np.where(unknown, np.nanmean(self.reference), self.reference)
 
     @property
     def complete(self) -> Steps:
@@ -145,16 +147,16 @@ def find_storms(record: StepRecord) -> list[slice]:
 
 
 def find_outages(record: StepRecord) -> list[slice]:
-    """Return the steps from each outage of a water meter to the end of its effect on the roof.
+    """Return the steps from each outage to the end of its effect on the roof.
 
-    A storm may have occurred during an outage. The water of such a storm is gone after about a
-    week, but not before 20 mm could have evaporated. Outages of up to an hour count only if it
-    rained in the hour before or after them.
+    In an outage, rain, pumped water or evapotranspiration is unknown. A storm may have occurred in
+    it. The water of such a storm is gone after about a week, but not before 20 mm could have
+    evaporated. Outages of up to an hour count only if it rained in the hour before or after them.
     """
-    evaporated = np.cumsum(record.reference)
+    evaporated = np.cumsum(record.drying)
     week, hour = (math.ceil(time / record.step_s) for time in (_FORGOTTEN_S, HOUR_S))
     found = []
-    for first, end in find_gaps(np.isnan(record.rain + record.pumped)):
+    for first, end in find_gaps(np.isnan(record.rain + record.pumped + record.reference)):
         near = np.nansum(record.rain[max(0, first - hour):end + hour])
         if (end - first) * record.step_s > HOUR_S or near > _RAINED_MM:
             dried = int(np.searchsorted(evaporated, evaporated[end - 1] + _FORGOTTEN_MM)) + 1
@@ -274,23 +276,20 @@ def score(
     return FitScores(quantity, part, nse, ours / theirs - 1 if theirs > 0 else np.nan)
 
 
-def read_csv_record(file: Path, site: Site, months: str | None = None) -> StepRecord:
+def read_csv_record(file: Path, site: Site) -> StepRecord:
     """Read a measured record from CSV; see :func:`greenroof_ros.weather.table.read_rows`.
 
     Each row covers the step that begins at the time given (or, with ``rows: end``, ends at it);
     levels are measured at that time. Rows are no more than a day apart. Rain, ``level`` or
     ``runoff``, and evapotranspiration are required. Evapotranspiration is taken from the column
-    ``reference evapotranspiration``, with gaps of no more than an hour. Alternatively, it is
-    computed with Hargreaves' equation from ``temperature``, or from ``minimum temperature`` and
-    ``maximum temperature`` in any row of the day. Pumped water is taken from the column ``pumped``,
-    or is computed from ``pump state`` (share of the maximum flow) and ``cistern level``, which does
-    not matter while the pumps are stopped; without these columns it is 0.
+    ``reference evapotranspiration``, in which gaps of no more than an hour, or of a single step,
+    are interpolated. Alternatively, it is computed with Hargreaves' equation from ``temperature``,
+    or from ``minimum temperature`` and ``maximum temperature`` in any row of the day. Pumped water
+    is taken from the column ``pumped``; without this column it is 0.
 
     Args:
         file: the record, or a description of it.
-        site: site with its location, clock, area and pumps.
-        months: months to use, such as ``4-10``; in other months, evapotranspiration may have long
-            gaps.
+        site: site with its location, clock and area.
 
     Raises:
         ConfigurationError: if the file breaks a rule; the message names the line, the column and
@@ -306,12 +305,11 @@ def read_csv_record(file: Path, site: Site, months: str | None = None) -> StepRe
     if not (
         PRECIPITATION in there and there & {"runoff", "level"}
         and (there & {EVAPOTRANSPIRATION, TEMPERATURE} or there >= {*_EXTREMES})
-        and ("pump state" not in there or there & {"cistern level", "pumped"})
     ):
         raise rows.table.refuse(
             "must have the columns 'rain [mm]', 'runoff [mm]' or 'level [m]', and 'reference "
             "evapotranspiration [mm]', 'temperature [degC]', or both 'minimum temperature [degC]' "
-            "and 'maximum temperature [degC]'; with 'pump state', also 'cistern level [m]'"
+            "and 'maximum temperature [degC]'"
         )
     step_s, steps = rows.step_s, int(rows.steps[-1]) + 1
     # A roof drains within hours, so longer sums show no more than the rain does.
@@ -323,57 +321,37 @@ def read_csv_record(file: Path, site: Site, months: str | None = None) -> StepRe
     for name, values in rows.values.items():
         series[name] = np.full(steps, np.nan)
         series[name][rows.steps] = values * step_h / _AMOUNTS[name] if name in _AMOUNTS else values
-        if rows.described.rows == END and name in ("level", "cistern level"):
+        if rows.described.rows == END and name == "level":
             series[name] = np.append(np.nan, series[name][:-1])
-    pumped = series.get("pumped", np.zeros(steps))
-    if "pumped" not in series and "pump state" in series:
-        levels, state = series["cistern level"], series["pump state"]
-        highest = np.array([maximum_pump_flow(site, x1) for x1 in levels * site.a1])
-        highest[np.isnan(levels)] = np.nan
-        pumped = np.where(state == 0, 0.0, state * highest * step_s * 1000 / site.a2)
     late = round(rows.described.rain_late / step_h)
     record = StepRecord(
         source=file, start=rows.first, step_s=step_s,
         rain=np.append(series[PRECIPITATION][late:], np.full(late, np.nan)),
-        reference=np.zeros(steps), pumped=pumped,
+        reference=np.zeros(steps), pumped=series.get("pumped", np.zeros(steps)),
         measured={name: series[name] for name in ("runoff", "level") if name in series},
         notes=(describe_rows(rows),) if step_h > 1
         else tuple(as_lines(summarize(make_hours([rows]), site))),
     )
-    compute = _bridge_short_gaps if EVAPOTRANSPIRATION in there else _compute_from_temperatures
-    return replace(record, reference=compute(record, site, series, select_months(record, months)))
-
-
-def _bridge_short_gaps(
-    record: StepRecord, site: Site, series: Mapping[str, Values], counts: Steps
-) -> Values:
-    """Return measured reference evapotranspiration without gaps (mm), shape (steps,).
-
-    A roof dries out even while its sensors are not working. Therefore, a gap of no more than an
-    hour, or of a single step, is interpolated linearly, and a longer gap is rejected if it contains
-    a step that counts. Otherwise, it is filled with the mean of the record.
-    """
-    values = bridge_gaps(series[EVAPOTRANSPIRATION], max(1, round(HOUR_S / record.step_s)))
-    missing = np.isnan(values)
-    if (missing & counts).any():
-        raise ConfigurationError(
-            f"has no value at {record.time(int(np.argmax(missing & counts)))}: between values, at "
-            "most an hour may be missing, since the roof continues to dry during a gap. Write a "
-            "daily value into every row of its day", file=record.source,
-            key=f"reference {EVAPOTRANSPIRATION}",
+    reference = (
+        bridge_gaps(series[EVAPOTRANSPIRATION], max(1, round(HOUR_S / step_s)))
+        if EVAPOTRANSPIRATION in there else _compute_from_temperatures(record, site, series)
+    )
+    if np.isnan(reference).all():
+        raise rows.table.refuse(
+            "has no evapotranspiration; if it is computed, each day needs temperatures at most "
+            "three hours apart, or a row with its minimum and maximum temperature"
         )
-    return np.where(missing, np.nanmean(values), values)
+    return replace(record, reference=reference)
 
 
 def _compute_from_temperatures(
-    record: StepRecord, site: Site, series: Mapping[str, Values], counts: Steps
+    record: StepRecord, site: Site, series: Mapping[str, Values]
 ) -> Values:
     """Return Hargreaves' reference evapotranspiration in every step (mm), shape (steps,).
 
     Days follow the record's own clock. The temperatures of a day without values, with fewer than
     six or than 75 % of its ``temperature`` values, or with a minimum above its maximum, are
-    interpolated. For every day that counts, there must be temperatures no more than three days
-    before or after.
+    interpolated over no more than three days; on other days, the result is NaN.
     """
     check_place(site, HARGREAVES)
     (low, high), needed = _EXTREMES, 1.0
@@ -382,21 +360,11 @@ def _compute_from_temperatures(
     days, day = np.unique(record.seconds // DAY_S, return_inverse=True)
     extremes = find_extremes(day, series[low], series[high], needed)
     extremes[:, ~(extremes[0] <= extremes[1])] = np.nan
-    reference, lacking = record.reference, np.full(len(day), True)
-    if not np.isnan(extremes).all():
-        offset_s = float(record.seconds[0] - record.start.timestamp())
-        reference, lacking = spread_hargreaves(
-            replace(site, utc_offset=offset_s / HOUR_S),
-            days.astype("datetime64[D]"), extremes, record.seconds, record.step_s,
-        )
-    if (lacking & counts).any():
-        day_of = record.time(int(np.argmax(lacking & counts)))[:10]
-        raise ConfigurationError(
-            f"has no temperatures within 3 days of {day_of}, from which evapotranspiration is "
-            "computed; each day needs temperatures at most three hours apart, or a row with its "
-            "minimum and maximum temperature; otherwise, leave its month out", file=record.source,
-        )
-    return reference
+    offset_s = float(record.seconds[0] - record.start.timestamp())
+    return spread_hargreaves(
+        replace(site, utc_offset=offset_s / HOUR_S), days.astype("datetime64[D]"), extremes,
+        record.seconds, record.step_s,
+    )
 
 
 def read_bag_record(bag: Path, site: Site) -> StepRecord:
@@ -404,13 +372,8 @@ def read_bag_record(bag: Path, site: Site) -> StepRecord:
 
     Rain, evapotranspiration and pumped water are summed over every step; the level is
     ``/roof/level`` at the beginning of the step. If ``/roof/drainage`` is not recorded, or is
-    always 0, the record has no runoff.
-
-    Evapotranspiration that the run computed (``fao56`` in the files next to its bag) includes the
-    crop coefficient of the run's site, and is therefore divided by this coefficient. The column of
-    a weather file and the forecasts of a live site do not include the crop coefficient, so all
-    other evapotranspiration is used unchanged. In gaps, in which the roof continues to dry,
-    evapotranspiration is the mean of the record.
+    always 0, the record has no runoff. Evapotranspiration is used unchanged, as the forecasts of a
+    live site contain that of the reference grass.
 
     Raises:
         ConfigurationError: if the bag cannot be read, or is shorter than five minutes.
@@ -432,11 +395,6 @@ def read_bag_record(bag: Path, site: Site) -> StepRecord:
         return np.where(gap, np.nan, summed(flow))
 
     mm = 1000 / site.a2
-    reference = known(trajectory.evapotranspiration) * mm
-    run = run_directory(bag)
-    if read_about(run).get("evapotranspiration_method") in COMPUTED:
-        own = run / "configuration" / "site.yaml"
-        reference /= (read_site(own) if own.is_file() else site).crop_coefficient
     first = np.searchsorted(trajectory.time, edges[:-1], side="right") - 1
     measured = {"level": np.where(gap, np.nan, trajectory.roof[first] / site.a2)}
     if np.any(trajectory.drainage > 0):
@@ -444,6 +402,6 @@ def read_bag_record(bag: Path, site: Site) -> StepRecord:
     return StepRecord(
         source=bag, start=trajectory.start, step_s=_STEP_S,
         rain=known(trajectory.precipitation) * 1000,
-        reference=np.where(gap, np.nanmean(reference), reference),
+        reference=known(trajectory.evapotranspiration) * mm,
         pumped=known(trajectory.pump_flow) * mm, measured=measured, notes=notes,
     )

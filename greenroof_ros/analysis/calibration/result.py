@@ -43,10 +43,6 @@ _TYPICAL_STORAGE = 0.02
 # Share of the plants' available water that may be used up: 'a value of 0.50 for p is commonly used
 # for many crops' (FAO-56, chapter 8).
 _DEPLETION = 0.5
-# The minimum for a fit (mm).
-_MIN_WATER = 20.0
-# If the volume is wrong by more than this share, the fit is poor.
-_VOLUME_OFF = 0.5
 
 
 @dataclass(frozen=True)
@@ -54,23 +50,18 @@ class Calibration:
     """A roof that was fitted to the first half of a record's rain, and validated on the second.
 
     Attributes:
-        site: the fitted site.
-        site_file: text of its site file.
+        fit: the fitted site, its parameters, the record as simulated, and the scores of every
+            quantity in either half.
+        site_file: text of the site file of the fitted site.
         record: the measurements.
         halves: steps of the record that were fitted (``fit``) and validated (``validation``).
-        fit: the parameters, and the record as simulated.
-        scores: scores of every quantity in either half.
-        warnings: what is wrong with the fit.
-        notes: other findings for the reader.
+        notes: findings for the reader.
     """
 
-    site: Site
+    fit: Fit
     site_file: str
     record: StepRecord
     halves: Mapping[str, Steps]
-    fit: Fit
-    scores: Sequence[FitScores]
-    warnings: Sequence[str]
     notes: Sequence[str]
 
 
@@ -92,29 +83,25 @@ def calibrate(
     Example:
         >>> import greenroof_ros as gr
         >>> made = gr.calibrate("roof_2025.csv", "my_site.yaml")  # doctest: +SKIP
-        >>> made.site.field_capacity, made.scores, made.warnings  # doctest: +SKIP
+        >>> made.fit.site.field_capacity, made.fit.scores  # doctest: +SKIP
     """
     file, source = Path(site), Path(measured)
     start = complete_roof(read_site(file))
     is_bag = source.is_dir() or source.suffix.lower() == ".mcap"
-    record = read_bag_record(source, start) if is_bag else read_csv_record(source, start, months)
-    counts = select_months(record, months)
-    halves = halve_steps(record, counts)
-    check_record(record, counts, halves)
+    record = (read_bag_record if is_bag else read_csv_record)(source, start)
+    halves = halve_steps(record, select_months(record, months))
+    check_record(record, halves)
     own = start.percolation_exponent
     fits = fit_exponents(start, record, halves, progress, sorted({*EXPONENTS, own}))
     fitted, of_exponents = choose_exponent(fits, own)
     fitted = fitted._replace(site=lower_target(fitted.site))
-    warnings = check_fit(fitted.scores)
     notes = [*record.notes, *_list_notes(record, halves, start, fitted.site), of_exponents]
     heading = [
         f"Fitted to {source.name} by greenroof calibrate.",
-        *map(describe_scores, fitted.scores), INTERVAL_NOTE, *notes, *warnings,
+        *map(describe_scores, fitted.scores), INTERVAL_NOTE, *notes,
     ]
     text = format_fitted_site(file, fitted, start.z_veg, heading)
-    return Calibration(
-        fitted.site, text, record, halves, fitted, fitted.scores, warnings, notes
-    )
+    return Calibration(fitted, text, record, halves, notes)
 
 
 def complete_roof(site: Site) -> Site:
@@ -146,50 +133,24 @@ def lower_target(site: Site) -> Site:
     return replace(site, z_veg=depth, x2_star=site.a2 * depth)
 
 
-def check_record(record: StepRecord, counts: Steps, halves: Mapping[str, Steps]) -> None:
-    """Reject a record with too little water, or with nothing to fit or to validate.
+def check_record(record: StepRecord, halves: Mapping[str, Steps]) -> None:
+    """Reject a record with nothing to fit or to validate.
 
     Args:
         record: the measurements.
-        counts: mask of the steps in the months that are used.
         halves: the steps of the fit, and those of the validation.
 
     Raises:
-        ConfigurationError: if the record has too little water, or if no measured quantity changes
-            in a half.
+        ConfigurationError: if no measured quantity changes in a half.
     """
-    water = float(record.water[counts].sum())
-    if water < _MIN_WATER:
-        raise ConfigurationError(
-            f"is {water:.3g} mm in total, including pumped water, but a fit needs at least "
-            f"{_MIN_WATER:g} mm. Is the unit of the column right?", file=record.source, key="rain",
-        )
     for steps in halves.values():
         if all(len(np.unique(each[steps])) < 2 for each in record.measured.values()):
             raise ConfigurationError(
                 "in a half of its rain, no measured quantity changes, but fit and validation both "
                 "need changes in runoff or levels; leave out the dry rows at the end, or use a "
-                "longer record with fewer gaps", file=record.source,
+                "longer record with fewer gaps: after more than an hour with unknown rain, pumped "
+                "water or evapotranspiration, at least a week is left out", file=record.source,
             )
-
-
-def check_fit(scores: Sequence[FitScores]) -> list[str]:
-    """Return warnings about a fit.
-
-    There is a warning if, in the validation, the NSE of the longest time spans is below 0, or if
-    the volume is off by more than half.
-
-    Args:
-        scores: scores of every series, for the fit and for the validation.
-    """
-    poor = [
-        describe_scores(row) for row in scores if row.part == "validation"
-        and ([*row.nse.values()][-1] < 0 or abs(row.volume_error) > _VOLUME_OFF)
-    ]
-    return [
-        f"do not use this fit: {' '.join(poor)} Check the units, the clocks, the sensors, and the "
-        "site's a2 and z_soil."
-    ] if poor else []
 
 
 def format_fitted_site(file: Path, fit: Fit, target: float, heading: Sequence[str]) -> str:

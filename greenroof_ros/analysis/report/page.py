@@ -162,6 +162,6 @@ def _list_assumptions(report: Report) -> Table:
             [each.label, f"{each.low:g}", ", ".join(
                 f"{value:g}" for value in sorted({getattr(site, each.name) for site in sites})
             ), f"{each.high:g}", each.source]
-            for each in dict.fromkeys(end.assumption for site in sites for end in list_ends(site))
+            for each in dict.fromkeys(each for site in sites for each, *_ in list_ends(site))
         ],
     )

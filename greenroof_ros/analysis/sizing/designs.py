@@ -11,7 +11,6 @@ from greenroof_ros.base.errors import ConfigurationError, describe_choices
 from greenroof_ros.base.ranges import Range
 from greenroof_ros.controllers.outlet import DRAIN, PLAN
 from greenroof_ros.controllers.registry import find_controller
-from greenroof_ros.physics.cistern import EMPTIED_H, find_outlet_radius
 from greenroof_ros.physics.storm_water import connected_area
 from greenroof_ros.site.file import check_site
 from greenroof_ros.site.site import WITHOUT_VALVE, Site
@@ -36,29 +35,25 @@ _DEPTHS_M = 0.004, 0.14
 # share by which the best target is refined.
 _STEP, _FINE = 1 / 20, 1 / 4
 
-# Height of an assumed valve above the level of the mains top-up (m) [assumed].
-_OUTLET_ABOVE_MAINS_M = 0.03
-
 
 class Design(NamedTuple):
-    """One cistern, target and outlet."""
+    """One cistern, target and outlet, named as the columns of a table."""
 
-    volume: float
-    """volume of the cistern up to its overflow (m3)"""
-    target: float
-    """target for the water on the roof, as a depth (mm)"""
+    volume_m3: float
+    """volume of the cistern up to its overflow"""
+    target_mm: float
+    """target for the water on the roof, as a depth"""
     outlet: str
     """one of :data:`OUTLETS`"""
-
-    @property
-    def columns(self) -> dict[str, Any]:
-        """The design as columns of a table."""
-        return {"volume_m3": self.volume, "target_mm": self.target, "outlet": self.outlet}
 
     @property
     def described_outlet(self) -> str:
         """The outlet in words."""
         return "no valve" if self.outlet == NONE else f"valve with {self.outlet}"
+
+
+BY_DESIGN = [*Design._fields]
+"""columns that identify a design"""
 
 
 def choose_volumes(site: Site) -> list[float]:
@@ -119,15 +114,23 @@ def read_numbers(values: Any, key: str, allowed: Range) -> list[float]:
     raise ConfigurationError("must list at least one number", key=key)
 
 
-def read_outlets(names: Sequence[str] | None) -> list[str]:
-    """Return the named outlets in the order of :data:`OUTLETS`, or all outlets if none is named.
+def read_outlets(names: Sequence[str] | None, site: Site) -> list[str]:
+    """Return the named outlets in the order of :data:`OUTLETS`; by default those of the site.
 
     Raises:
-        ConfigurationError: if a name is not that of an outlet.
+        ConfigurationError: if a name is not that of an outlet, or if the site lacks the low outlet
+            that a valve closes.
     """
-    given = [names] if isinstance(names, str) else list(names or OUTLETS)
-    if wrong := next((name for name in given if name not in OUTLETS), None):
-        raise ConfigurationError(describe_choices(OUTLETS, wrong), key="outlets", value=wrong)
+    possible = (NONE,) if site.low_outlet_level is None else OUTLETS
+    given = [names] if isinstance(names, str) else list(names or possible)
+    for name in given:
+        if name not in OUTLETS:
+            raise ConfigurationError(describe_choices(OUTLETS, name), key="outlets", value=name)
+        if name not in possible:
+            raise ConfigurationError(
+                "needs a low outlet in the site file, as in config/site_valve.yaml", key="outlets",
+                value=name,
+            )
     return [name for name in OUTLETS if name in given]
 
 
@@ -168,44 +171,22 @@ def check_target(site: Site, target: float) -> None:
 def build(site: Site, design: Design) -> tuple[Site, Mapping[str, Any]]:
     """Return the site of a design, and the parameters of its controller and its valve.
 
-    What the site lacks is assumed, see :func:`list_assumed`. Of the site's own cistern, only the
-    height is used.
+    Of the site's own cistern, only the height is used.
     """
+    parameters: dict[str, Any] = {}
     if design.outlet == NONE:
         site = replace(site, low_outlet_level=None, low_outlet_radius=None, **WITHOUT_VALVE)
     else:
-        site = _add_valve(site)
-    depth = design.target / 1000
-    sized = replace(
-        site, a1=design.volume / site.z_o, z_veg=depth, x2_star=site.a2 * depth, tau=TAU, M=1,
+        site, parameters = replace(site, low_outlet_valve=True), {"outlet": design.outlet}
+    depth = design.target_mm / 1000
+    sized = check_site(replace(
+        site, a1=design.volume_m3 / site.z_o, z_veg=depth, x2_star=site.a2 * depth, tau=TAU, M=1,
         initial_cistern=None, initial_roof=None,
-    )
-    parameters: dict[str, Any] = {} if design.outlet == NONE else {"outlet": design.outlet}
-    if math.isnan(sized.low_outlet_radius or 0.0):
-        radius = find_outlet_radius(
-            sized, sized.a1, sized.z_o - (sized.low_outlet_level or 0.0), 3600 * EMPTIED_H
-        )
-        sized = replace(sized, low_outlet_radius=max(0.001, radius))
-    sized = check_site(sized)
+    ))
     return sized, find_controller(CONTROLLER).complete_parameters(sized, parameters)
 
 
-def _add_valve(site: Site) -> Site:
-    """Return a site with a valve on a low outlet.
-
-    The radius of the outlet is NaN if it is not in the site file, because it depends on the
-    cistern.
-    """
-    assert site.mains_level is not None
-    if site.low_outlet_level is not None:
-        return replace(site, low_outlet_valve=True)
-    level = site.mains_level + min(_OUTLET_ABOVE_MAINS_M, (site.z_o - site.mains_level) / 2)
-    return replace(
-        site, low_outlet_level=level, low_outlet_radius=math.nan, low_outlet_valve=True
-    )
-
-
-def list_assumed(site: Site, outlets: Sequence[str]) -> list[str]:
+def list_assumed(site: Site) -> list[str]:
     """Return sentences about how the designs are simulated, and what is assumed in them."""
     notes = [
         f"All cisterns have the height of the cistern in the site file, {site.z_o:g} m up to the "
@@ -216,11 +197,8 @@ def list_assumed(site: Site, outlets: Sequence[str]) -> list[str]:
         "up in 20 days, at the evapotranspiration of the next two days, and makes room in dry "
         "weather.",
     ]
-    if not site.low_outlet_valve and {*outlets} != {NONE}:
-        level = _add_valve(site).low_outlet_level
-        size = f", which empties a full cistern down to this level in {EMPTIED_H:g} h"
-        notes.append(
-            f"Assumed: drain and plan have a valve at a level of {level:.3g} m"
-            f"{size if site.low_outlet_level is None else ', on the low outlet of the site file'}."
-        )
+    if site.low_outlet_level is None:
+        notes.append("No valve is compared, because the site has no low outlet.")
+    elif not site.low_outlet_valve:
+        notes.append("Assumed: drain and plan have a valve on the low outlet of the site.")
     return notes

@@ -13,7 +13,7 @@ from greenroof_ros.analysis.page import Section, make_page, write_output
 from greenroof_ros.analysis.seasons import find_ranges
 from greenroof_ros.analysis.sizing.choice import MAX_LOST
 from greenroof_ros.analysis.sizing.results import (
-    BY_DESIGN,
+    BY_TEST,
     KEPT,
     LOST,
     MAIN,
@@ -29,8 +29,9 @@ if TYPE_CHECKING:
     from greenroof_ros.analysis.sizing.sizes import Sizes
 
 _TITLE = "Which cistern for the green roof?"
-_VARIED = {"volume": ("volume_m3", "cistern (m³)"), "target": ("target_mm", "target (mm)")}
 _RESTS_ON = ("mains_m3", "wet_discharge_m3", KEPT, "discharge_m3", LOST)
+_OF_TARGETS = (*MAIN, LOST, "stress_hours")
+_HEADINGS = {"volume_m3": "cistern (m³)", "target_mm": "target (mm)"}
 
 
 def write_page(sizes: Sizes, directory: Path) -> Path:
@@ -46,33 +47,23 @@ def write_page(sizes: Sizes, directory: Path) -> Path:
 def list_sections(sizes: Sizes, figures: Sequence[Figure]) -> list[Section]:
     """Return the sections of the page; the figures show the cisterns, and then the targets."""
     own, site = sizes.recommended, sizes.site
-    count, seasons = len(sizes.seasons), f"{sizes.window}, {', '.join(sizes.seasons)}"
-    used = sizes.table_of_seasons.filter(**own.columns)
+    used = sizes.table_of_seasons.filter(**own._asdict())
     rain, on_roof, lost = used.select("rain_m3", "rain_roof_m3", LOST).mean().row(0)
-    meaning = f"Numbers are those of one season, {seasons}."
-    if count > 1:
-        meaning = (
-            f"Numbers are means of {count} seasons, with the lowest and the highest season in "
-            f"brackets ({seasons}). Percentages are means of the seasons' percentages, which "
-            "differ a little from the ratios of the means."
-        )
-    losing = f"plants lose at most {100 * MAX_LOST:g} %" if lost <= MAX_LOST else (
-        "plants lose the smallest part"
-    )
-    value = f"less than {sizes.knee_m3:g} m³ of mains water and wet-weather discharge a season"
-    if sizes.prices is not None:
-        value = f"less than it costs ({sizes.prices.yearly_cistern_price:.4g} a year)"
-    first, *_ = tabulate_volumes(sizes, MAIN)
+    losing = f"at most {100 * MAX_LOST:g} %" if lost <= MAX_LOST else "the smallest part"
+    first, *others = tabulate_volumes(sizes)
     return [
         Section("The recommendation", [
             f"The green roof covers {site.a2:g} m². Another {site.a_in:g} m² of roofs drain to the "
             f"cistern, which receives {100 * site.runoff_coefficient:g} % of the rain on them. In "
             f"a season, {1000 * on_roof / site.a2:.0f} mm of rain falls, {rain:.3g} m³ on all of "
-            f"these roofs. {meaning}",
-            f"Beyond a cistern of {own.volume:g} m³ ({1000 * own.volume / site.a2:.0f} L per m² of "
-            f"green roof), another m³ saves {value}. Of the targets compared, {own.target:g} mm is "
-            f"the lowest at which {losing} of their evapotranspiration for lack of water. A "
-            "higher target takes more water; add what the level sensor may be wrong by.",
+            f"these roofs. Numbers are means of the seasons ({sizes.window}, "
+            f"{', '.join(sizes.seasons)}), with the lowest and the highest season in brackets; "
+            "percentages are means of the seasons' percentages.",
+            f"Beyond a cistern of {own.volume_m3:g} m³ ({1000 * own.volume_m3 / site.a2:.0f} L per "
+            f"m² of green roof), another m³ saves less than {sizes.knee_m3:g} m³ of mains water "
+            f"and wet-weather discharge a season. Of the targets compared, {own.target_mm:g} mm is "
+            f"the lowest at which plants lose {losing} of their evapotranspiration for lack of "
+            "water. A higher target takes more water; add what the level sensor may be wrong by.",
             f"Wet weather is the time of rain and the {site.wet_after:g} h after it. Water that "
             "the valve releases in dry weather reaches the same sewer: it counts in the discharge "
             "and in the retention, but not in the discharge in wet weather.",
@@ -85,8 +76,8 @@ def list_sections(sizes: Sizes, figures: Sequence[Figure]) -> list[Section]:
         ]),
         Section("Other targets and outlets", [
             _tabulate(sizes, f"Targets, cistern {sizes.table['volume_m3'][0]:g} m³, "
-                      f"{own.described_outlet}", "target", _select_targets(sizes)),
-            *tabulate_volumes(sizes),
+                      f"{own.described_outlet}", "target_mm", _select_targets(sizes), _OF_TARGETS),
+            *others,
         ], folded=True),
         Section("What was read", [sizes.read]),
         Section("How it was made", [
@@ -103,55 +94,43 @@ def _select_targets(sizes: Sizes) -> polars.DataFrame:
     return sizes.table.filter(volume_m3=volume, outlet=outlet).sort("target_mm")
 
 
-def tabulate_volumes(sizes: Sizes, names: Sequence[str] = ()) -> list[Table]:
-    """Return a table of the cisterns for each outlet, beginning with the recommended outlet.
-
-    Args:
-        sizes: the sizes.
-        names: names of the results to show; by default all.
-    """
-    own, table = sizes.recommended, sizes.table.filter(target_mm=sizes.recommended.target)
+def tabulate_volumes(sizes: Sizes) -> list[Table]:
+    """Return a table of the cisterns for each outlet, beginning with the recommended outlet."""
+    own, table = sizes.recommended, sizes.table.filter(target_mm=sizes.recommended.target_mm)
     outlets = sorted({*table["outlet"]}, key=lambda outlet: (outlet != own.outlet, outlet))
     return [
         _tabulate(
             sizes, f"Cisterns, {own._replace(outlet=outlet).described_outlet}, target "
-            f"{own.target:g} mm", "volume", table.filter(outlet=outlet).sort("volume_m3"), names,
+            f"{own.target_mm:g} mm", "volume_m3", table.filter(outlet=outlet).sort("volume_m3"),
         ) for outlet in outlets
     ]
 
 
 def _tabulate(
-    sizes: Sizes, caption: str, varied: str, table: polars.DataFrame, names: Sequence[str] = ()
+    sizes: Sizes, caption: str, varied: str, table: polars.DataFrame, names: Sequence[str] = MAIN
 ) -> Table:
-    """Return the table of designs that differ in an attribute, ``volume`` or ``target``."""
-    column, heading = _VARIED[varied]
-    shown = {name: SHOWN[name] for name in names or SHOWN if name in table.columns}
+    """Return the table of designs that differ in a column, ``volume_m3`` or ``target_mm``."""
+    shown = {name: SHOWN[name] for name in names}
     rows = table.to_dicts()
     own = getattr(sizes.recommended, varied)
     return Table(
-        caption, [heading, *shown.values()],
-        [[f"{row[column]:g}", *(write_range(row, *each) for each in shown.items())]
+        caption, [_HEADINGS[varied], *shown.values()],
+        [[f"{row[varied]:g}", *(write_range(row, *each) for each in shown.items())]
          for row in rows],
-        frozenset(place for place, row in enumerate(rows) if row[column] == own),
+        frozenset(place for place, row in enumerate(rows) if row[varied] == own),
     )
 
 
 def _tabulate_assumptions(sizes: Sizes) -> Table:
     """Return the table of the recommended design at both ends of every assumption."""
-    own, columns = sizes.recommended, {name: SHOWN[name] for name in _RESTS_ON}
-
-    def row(label: str, value: str, rows: polars.DataFrame, best: float) -> list[str]:
-        (ranges,) = find_ranges(rows, BY_DESIGN).to_dicts()
-        cells = (write_range(ranges, *each) for each in columns.items())
-        return [label, value, *cells, f"{best:g}"]
-
-    used = sizes.table_of_seasons.filter(**own.columns)
+    shown = {name: SHOWN[name] for name in _RESTS_ON}
     return Table(
         "The recommended design with each assumption at the ends of its range, one at a time",
-        ["assumption", "value", *columns.values(), "best cistern (m³)"],
+        ["assumption", "value", *shown.values(), "best cistern (m³)"],
         [
-            row("as used", "", used, own.volume),
-            *(row(text, f"{value:g}", rows, best) for text, value, rows, best in sizes.tested),
+            [row["assumption"], row["value"], *(write_range(row, *each) for each in shown.items()),
+             f"{row['best_cistern_m3']:g}"]
+            for row in find_ranges(sizes.tested, BY_TEST).to_dicts()
         ],
         frozenset({0}),
     )
@@ -164,30 +143,27 @@ _DRAWN = ("mains_m3", "wet_discharge_m3", "discharge_m3", "demand_met_share")
 
 def draw_volumes(sizes: Sizes) -> Figure:
     """Return the figure of the results against the volume, with a line for each outlet."""
-    table = sizes.table.filter(target_mm=sizes.recommended.target)
-    return _draw("cisterns", "Cisterns and outlets", "volume", table, _DRAWN, "log")
+    table = sizes.table.filter(target_mm=sizes.recommended.target_mm)
+    return _draw("cisterns", "Cisterns and outlets", "volume_m3", table, _DRAWN, "log")
 
 
 def _draw_targets(sizes: Sizes) -> Figure:
     """Return the figure of the water that a target takes, and of what plants lose."""
     table = _select_targets(sizes)
     title = f"Targets, with a cistern of {table['volume_m3'][0]:g} m³"
-    return _draw("targets", title, "target", table, ("mains_m3", LOST), "linear")
+    return _draw("targets", title, "target_mm", table, ("mains_m3", LOST), "linear")
 
 
 def _draw(
     name: str, title: str, varied: str, table: polars.DataFrame, names: Sequence[str], scale: Any
 ) -> Figure:
     """Return a figure with a panel for each result."""
-    column, heading = _VARIED[varied]
     x = alt.X(
-        f"{column}:Q", title=heading,
-        axis=alt.Axis(values=sorted({*table[column]}), format="~g", labelOverlap=True),
+        f"{varied}:Q", title=_HEADINGS[varied],
+        axis=alt.Axis(values=sorted({*table[varied]}), format="~g", labelOverlap=True),
         scale=alt.Scale(type=scale, nice=False, zero=False),
     )
     series = distinguish_series("outlet", list(dict.fromkeys(table["outlet"])))
-    for channel in series.values():
-        channel.legend = alt.Legend(symbolType="stroke", symbolSize=400, columns=3)
     base, panels = alt.Chart(alt.NamedData(name)).encode(x=x, **series), []
     for each in names:
         axis = alt.Axis(format="%") if SHOWN[each].unit == "%" else alt.Axis()
@@ -198,7 +174,7 @@ def _draw(
             y=alt.Y(f"{each}:Q", title=None, scale=alt.Scale(zero=True))
         )
         panels.append(Panel(alt.layer(band, line), SHOWN[each].heading, 200))
-    drawn = table.select(column, "outlet", *(
+    drawn = table.select(varied, "outlet", *(
         f"{each}{end}" for each in names for end in ("", "_min", "_max")
     ))
     return Figure(

@@ -11,11 +11,10 @@ from typing import TYPE_CHECKING, Any
 from greenroof_ros.analysis.assumptions import list_ends
 from greenroof_ros.analysis.seasons import find_ranges, find_seasons, list_notes, read_window
 from greenroof_ros.analysis.sizing import designs as plans
-from greenroof_ros.analysis.sizing.choice import KNEE, Prices, choose_volume, find_target
-from greenroof_ros.analysis.sizing.designs import Design
-from greenroof_ros.analysis.sizing.results import BY_DESIGN, COST, KEPT, LOST
-from greenroof_ros.analysis.sizing.sizes import Sizes, Tested
-from greenroof_ros.base.parameter import make_record, parameters_of
+from greenroof_ros.analysis.sizing.choice import KNEE, find_knee, find_target
+from greenroof_ros.analysis.sizing.designs import BY_DESIGN, Design
+from greenroof_ros.analysis.sizing.results import BY_TEST, KEPT, LOST
+from greenroof_ros.analysis.sizing.sizes import Sizes
 from greenroof_ros.base.ranges import Range
 from greenroof_ros.controllers.registry import find_controller
 from greenroof_ros.results.forked_polars import make_frame
@@ -29,7 +28,6 @@ from greenroof_ros.weather.summary import as_lines, summarize
 if TYPE_CHECKING:
     import polars
 
-PRICES = {parameter.name: parameter for parameter in parameters_of(Prices)}
 KNEE_RANGE = Range(0.0, 1e6, "m3")
 # Share of the cistern that is full when a season begins.
 _HALF = 0.5
@@ -41,7 +39,6 @@ def size(
     targets: Sequence[float] | None = None, outlets: Sequence[str] | None = None,
     season: str | None = None, knee: float = KNEE, jobs: int = 1,
     progress: Callable[[str, float], None] = lambda text, share: None,
-    **prices: float | None,
 ) -> Sizes:
     """Compare cisterns, targets and outlets over all seasons of a record, like ``greenroof size``.
 
@@ -56,16 +53,14 @@ def size(
             volumes that suit the roof and the catchment.
         targets: target depths of the water on the roof (mm); by default the site's target, and
             steps of a twentieth of what the soil holds.
-        outlets: any of ``"none"``, ``"drain"`` and ``"plan"``; by default all three.
+        outlets: any of ``"none"``, ``"drain"`` and ``"plan"``; by default all three, or only
+            ``"none"`` for a site without a low outlet.
         season: first and last day of the season, as in ``"05-01/10-31"``; by default May to
             October, or November to April south of the equator.
         knee: minimum volume of water that each additional m3 of cistern must save per season (m3).
         jobs: number of threads.
         progress: callback that receives the current task and the share of it that is done, 0 to 1;
             an error that it raises ends the runs.
-        prices: ``mains_price``, ``storm_water_price``, ``cistern_price`` (each per m3), and
-            ``cistern_years``, the number of years over which the price of the cistern is spread:
-            all four, or none.
 
     Returns:
         The results: ``.sentence``, ``.table``, ``.table_of_seasons``, ``.plot()`` and
@@ -81,25 +76,21 @@ def size(
         ...     site="config/site_valve.yaml", weather="config/weather/toronto_2021-07.csv",
         ...     season="07-07/07-08", volumes=[5, 10], targets=[36, 39], outlets=["none"],
         ... )
-        >>> sizes.recommended.target
+        >>> sizes.recommended.target_mm
         36.0
     """
-    given = {name: price for name, price in prices.items() if price is not None}
-    priced = make_record(Prices, given) if given else None
     own_volumes = None if volumes is None else plans.read_numbers(volumes, "volumes", plans.VOLUMES)
     own_targets = None if targets is None else plans.read_numbers(targets, "targets", plans.TARGETS)
-    kinds, knee = plans.read_outlets(outlets), KNEE_RANGE.read(knee, key="knee")
+    knee = KNEE_RANGE.read(knee, key="knee")
     inputs = make_inputs(find_controller(plans.CONTROLLER), {
-        name: value for name, value in {
-            "site": site, "weather": weather, "evapotranspiration": evapotranspiration,
-            "gaps": gaps,
-        }.items() if value is not None
+        "site": site, "weather": weather, "evapotranspiration": evapotranspiration, "gaps": gaps,
     })
     base = inputs.read_site()
     plans.check_mains(base)
     for target in own_targets or []:
         plans.check_target(base, target)
-    window, outlet = read_window(season, base), plans.choose_outlet(base, kinds)
+    kinds, window = plans.read_outlets(outlets, base), read_window(season, base)
+    outlet = plans.choose_outlet(base, kinds)
     compared = own_volumes or plans.choose_volumes(base)
     own = compared[len(compared) // 2] if own_volumes else plans.find_volume(base)
     progress("reading weather", 0.0)
@@ -112,7 +103,7 @@ def size(
         runs: Mapping[str, Run] = seasons, filled: float = _HALF,
     ) -> polars.DataFrame:
         return _simulate(
-            {each: plans.build(like, each) for each in designs}, runs, filled, priced, jobs,
+            {each: plans.build(like, each) for each in designs}, runs, filled, jobs,
             lambda share: progress(text, share),
         )
 
@@ -135,7 +126,7 @@ def size(
         volumes, mains, wet = means.sort("volume_m3").select(
             "volume_m3", "mains_m3", "wet_discharge_m3"
         ).to_numpy().T
-        return choose_volume(volumes, mains, wet, priced, knee)
+        return float(volumes[find_knee(volumes, -(mains + wet), knee)])
 
     rows = add_targets(None, own_targets or plans.choose_targets(base))
     target = best_target(rows)
@@ -149,37 +140,40 @@ def size(
         compared, rows = sorted({*compared, *finer}), add_volumes(rows, finer)
         volume = best_volume(rows)
     best = Design(volume, target, outlet)
-    reference, tested = rows.filter(**best.columns), list[Tested]()
+    reference, tested = rows.filter(**best._asdict()), list[dict[str, Any]]()
     designs = [Design(each, target, outlet) for each in compared]
 
-    def test(label: str, used: float, value: float, made: polars.DataFrame) -> None:
-        if not (changed := made.filter(**best.columns)).equals(reference):
-            tested.append(Tested(f"{label}; used: {used:g}", value, changed, best_volume(made)))
+    def test(label: str, value: str, made: polars.DataFrame) -> None:
+        changed = made.filter(**best._asdict())
+        if not (tested and changed.equals(reference)):
+            about = dict(zip(BY_TEST, (label, value, best_volume(made)), strict=True))
+            tested.extend(about | row for row in changed.drop(BY_DESIGN).to_dicts())
 
+    test("as used", "", rows)
     for (name, label, *_), value, changed in list_ends(base):
         runs = seasons
         if name == "k_Rs":  # the only one on which evapotranspiration depends
             ended, _ = inputs.read_records(changed)
             runs, _ = find_seasons(inputs, replace(ticks, k_Rs=value), ended, window)
         made = run(f"assuming {name} {value:g}", designs, changed, runs)
-        test(label, getattr(base, name), value, made)
+        test(f"{label}; used: {getattr(base, name):g}", f"{value:g}", made)
     for filled in (0.0, 1.0):
         made = run("other initial states", designs, filled=filled)
-        test("share of the cistern that is filled when a season begins", _HALF, filled, made)
+        test(f"share of the cistern filled at the start; used: {_HALF:g}", f"{filled:g}", made)
     contents, *notes = as_lines(summarize(record, base))
     left_out = [f"season {name} is left out: {why}" for name, why in incomplete.items()]
     return Sizes(
-        inputs.site.stem if isinstance(inputs.site, Path) else "", base, rows, best, tested,
-        list(seasons), f"{window}",
-        [*plans.list_assumed(base, kinds), *_remark(reference, volume, compared, base)],
+        inputs.site.stem if isinstance(inputs.site, Path) else "", base, rows, best,
+        make_frame(tested), list(seasons), f"{window}",
+        [*plans.list_assumed(base), *_remark(reference, volume, compared)],
         [f"{record.source}: {contents}", *notes, *list_notes(seasons, base), *left_out],
-        priced, knee,
+        knee,
     )
 
 
 def _simulate(
     designs: Mapping[Design, tuple[Site, Mapping[str, Any]]], seasons: Mapping[str, Run],
-    filled: float, prices: Prices | None, jobs: int, progress: Callable[[float], None],
+    filled: float, jobs: int, progress: Callable[[float], None],
 ) -> polars.DataFrame:
     """Simulate designs in seasons, and return a row for each design and season.
 
@@ -187,28 +181,24 @@ def _simulate(
         designs: site and parameters of each design.
         seasons: the seasons by name, for sites with the ticks of the designs.
         filled: share of the cistern that is full at the start.
-        prices: prices of water and cistern; None without costs.
         jobs: number of threads.
         progress: callback that receives the share that is done.
     """
     made, _ = simulate_season([
-        Case(site, parameters, season, filled * design.volume, site.x2_star, with_forecast=False)
+        Case(site, parameters, season, filled * design.volume_m3, site.x2_star, with_forecast=False)
         for design, (site, parameters) in designs.items() for season in seasons.values()
     ], progress=progress, threads=jobs)
     rows = []
     for (design, season), ((results, *_), _) in zip(product(designs, seasons), made, strict=True):
         row: dict[str, Any] = {each.name: results.get(each.name) for each in METRICS}
-        rain, wet, mains = row["rain_m3"], row["wet_discharge_m3"], row["mains_m3"]
+        rain, wet = row["rain_m3"], row["wet_discharge_m3"]
         row |= {KEPT: 1 - wet / rain if rain else None, LOST: 1 - row["evapotranspiration_ratio"]}
-        if prices is not None:
-            cistern = prices.yearly_cistern_price * design.volume
-            row[COST] = cistern + float(prices.cost_water(mains, wet))
-        rows.append({**design.columns, "season": season, **row})
+        rows.append({**design._asdict(), "season": season, **row})
     return make_frame(rows, infer_schema_length=None)
 
 
 def _remark(
-    rows: polars.DataFrame, volume: float, compared: Sequence[float], site: Site
+    rows: polars.DataFrame, volume: float, compared: Sequence[float]
 ) -> list[str]:
     """Return remarks on the recommended cistern (m3), and on what is unusual in its results."""
     remarks = [
@@ -221,17 +211,10 @@ def _remark(
             ("smallest", "smaller", compared[0]), ("largest", "larger", compared[-1]),
         ) if volume == end and len(compared) > 1
     ]
-    drained, fallen, excess = rows.select(
-        "drainage_m3", "rain_roof_m3", "excess_starts"
-    ).mean().row(0)
+    drained, fallen = rows.select("drainage_m3", "rain_roof_m3").mean().row(0)
     if drained > fallen:
         remarks.append(
             f"More water drains from the roof ({drained:.3g} m³ in a season) than rain falls on it "
             f"({fallen:.3g} m³): much of the irrigation percolates below field capacity."
-        )
-    if excess:
-        remarks.append(
-            f"The pump starts {excess:.0f} times a season more often than {site.starts_per_hour:g} "
-            "times an hour, as on/off control runs it whenever the roof is below its target."
         )
     return remarks

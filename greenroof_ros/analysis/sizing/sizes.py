@@ -6,12 +6,11 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 from greenroof_ros.analysis.seasons import find_ranges
-from greenroof_ros.analysis.sizing.choice import Prices
-from greenroof_ros.analysis.sizing.designs import NONE, Design
-from greenroof_ros.analysis.sizing.results import BY_DESIGN, KEPT, PAGE, SHOWN, TABLE
+from greenroof_ros.analysis.sizing.designs import BY_DESIGN, NONE, Design
+from greenroof_ros.analysis.sizing.results import KEPT, PAGE, SHOWN, TABLE
 from greenroof_ros.analysis.tables import write_range
 from greenroof_ros.base.errors import require_extra
 from greenroof_ros.site.site import Site
@@ -19,18 +18,6 @@ from greenroof_ros.site.site import Site
 if TYPE_CHECKING:
     import altair
     import polars
-
-class Tested(NamedTuple):
-    """What the recommended design gives if an assumption is at one end of its range."""
-
-    assumption: str
-    """the assumption and the value that is used, in words"""
-    value: float
-    """the other value"""
-    rows: polars.DataFrame
-    """results of the recommended design in each season"""
-    best: float
-    """the cistern that would be recommended (m3)"""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -41,16 +28,16 @@ class Sizes:
         name: name of the site's file, without its extension; empty without a file.
         site: the site that all designs share.
         table_of_seasons: results, with a row for each design and season. The columns are named as
-            in ``summary.json``, besides those of :data:`KEPT`, :data:`LOST` and :data:`COST`. First
-            come the designs that compare targets, then those that compare cisterns with the
-            recommended target.
+            in ``summary.json``, besides those of :data:`KEPT` and :data:`LOST`. First come the
+            designs that compare targets, then those that compare cisterns with the recommended
+            target.
         recommended: the recommended design.
-        tested: the recommended design at both ends of each assumption, and of the initial state.
+        tested: results of the recommended design in each season, as used and at both ends of each
+            assumption, and of the initial state; :data:`.results.BY_TEST` says which.
         seasons: names of the seasons.
         window: the days of a season, in words.
         notes: assumptions, and remarks on the results.
         read: what the weather contains, what was missing in it, and which seasons are left out.
-        prices: prices of water and cistern; None if no costs are calculated.
         knee_m3: minimum volume of water that each additional m3 of cistern must save per season
             (m3).
     """
@@ -59,12 +46,11 @@ class Sizes:
     site: Site
     table_of_seasons: polars.DataFrame
     recommended: Design
-    tested: Sequence[Tested]
+    tested: polars.DataFrame
     seasons: Sequence[str]
     window: str
     notes: Sequence[str]
     read: Sequence[str]
-    prices: Prices | None
     knee_m3: float
 
     @property
@@ -79,7 +65,7 @@ class Sizes:
     def sentence(self) -> str:
         """The recommendation, and what it brings in a season."""
         own = self.recommended
-        (row,) = self.table.filter(**own.columns).to_dicts()
+        (row,) = self.table.filter(**own._asdict()).to_dicts()
         text = {
             name: write_range(row, name, column) for name, column in SHOWN.items() if name in row
         }
@@ -91,8 +77,8 @@ class Sizes:
             f", {text[KEPT]} % less than the rain on the roofs"
         )
         return (
-            f"A cistern of {own.volume:g} m³ ({own.described_outlet}) and a target of "
-            f"{own.target:g} mm of water on the roof are recommended. In a season, {watered}"
+            f"A cistern of {own.volume_m3:g} m³ ({own.described_outlet}) and a target of "
+            f"{own.target_mm:g} mm of water on the roof are recommended. In a season, {watered}"
             f"{text['wet_discharge_m3']} m³ reaches the sewer in wet weather{kept}. In all "
             f"weather, {text['discharge_m3']} m³ reaches the sewer, a retention of "
             f"{text['retention_share']} %.{self._compare()}"
@@ -101,7 +87,7 @@ class Sizes:
     def _compare(self) -> str:
         """Return what the recommended cistern does without its valve; empty without a valve."""
         own = self.recommended._replace(outlet=NONE)
-        plain = self.table.filter(**own.columns).to_dicts()
+        plain = self.table.filter(**own._asdict()).to_dicts()
         if not plain or own == self.recommended:
             return ""
         mains, wet = (

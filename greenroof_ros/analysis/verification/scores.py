@@ -23,44 +23,22 @@ SCORES = {
 """heading and format of every score"""
 
 
-def compute_event_scores(
-    hits: int, false_alarms: int, misses: int, correct_negatives: int
-) -> tuple[float, float, float]:
-    """Return POD, FAR and ETS of an event from its contingency table.
-
-    The probability of detection is hits over observed events, the false alarm ratio is false alarms
-    over forecast events (Wilks 2011, Sect. 8.2.2). The equitable threat score (Sect. 8.2.3, Gilbert
-    skill score) is hits over all events that were forecast or observed, after subtracting the hits
-    expected by chance from both:
-
-        (hits - a) / (hits + misses + false alarms - a),
-        a = (hits + misses) (hits + false alarms) / n
-
-    ETS is 1 for a perfect forecast, and 0 for a forecast without skill.
-
-    Args:
-        hits: number of pairs in which the event was both forecast and observed.
-        false_alarms: number of pairs in which the event was forecast but not observed.
-        misses: number of pairs in which the event was observed but not forecast.
-        correct_negatives: number of pairs without the event.
-    """
-    observed, forecast = hits + misses, hits + false_alarms
-    chance = _ratio(observed * forecast, observed + false_alarms + correct_negatives)
-    return (
-        _ratio(hits, observed), _ratio(false_alarms, forecast),
-        _ratio(hits - chance, observed + false_alarms - chance),
-    )
-
-
 def score_pairs(forecast: Array, observed: Array, event: float) -> dict[str, float]:
     """Return the scores of pairs of forecast and observed sums, by name; NaN if undefined.
 
     The scores are the number of pairs (``n``), the total of the forecasts over that of the
-    observations (``bias``), Pearson's correlation (``r``), ``pod``, ``far`` and ``ets`` (see
-    :func:`compute_event_scores`), the mean squared difference between the event's probability and
-    its outcome, 1 or 0 (``brier``), and the mean of :func:`crps` (``crps_mm``). The Brier score and
-    the CRPS are scores of all members. The others are scores of member 0, which is the forecast
-    given to controllers that use a single member.
+    observations (``bias``), Pearson's correlation (``r``), three scores of events (Wilks 2011,
+    Sect. 8.2), the mean squared difference between the event's probability and its outcome, 1 or 0
+    (``brier``), and the mean of :func:`crps` (``crps_mm``). The Brier score and the CRPS are scores
+    of all members. The others are scores of member 0, which is the forecast given to controllers
+    that use a single member.
+
+    The probability of detection (``pod``) is hits over observed events, the false alarm ratio
+    (``far``) is false alarms over forecast events. The equitable threat score (``ets``, Gilbert
+    skill score) is hits over all events that were forecast or observed, after subtracting the hits
+    expected by chance from both: (hits - a) / (observed + forecast - hits - a), where a is observed
+    events times forecast events over pairs. It is 1 for a perfect forecast, and 0 for a forecast
+    without skill.
 
     Args:
         forecast: forecast sums (mm), shape (members, pairs); a pair with NaN is left out.
@@ -74,15 +52,15 @@ def score_pairs(forecast: Array, observed: Array, event: float) -> dict[str, flo
     single = forecast[0]
     varies = np.ptp(single) > 0 and np.ptp(observed) > 0
     fell, warned = observed >= event, single >= event
-    pod, far, ets = compute_event_scores(*(
-        int(np.count_nonzero(cases))
-        for cases in (fell & warned, ~fell & warned, fell & ~warned, ~fell & ~warned)
-    ))
+    events, alarms, hits = (int(each.sum()) for each in (fell, warned, fell & warned))
+    chance = events * alarms / observed.size
     probability = np.mean(forecast >= event, axis=0)
     return {
         "n": observed.size, "bias": _ratio(single.sum(), observed.sum()),
         "r": float(np.corrcoef(single, observed)[0, 1]) if varies else math.nan,
-        "pod": pod, "far": far, "ets": ets, "brier": float(np.mean((probability - fell) ** 2)),
+        "pod": _ratio(hits, events), "far": _ratio(alarms - hits, alarms),
+        "ets": _ratio(hits - chance, events + alarms - hits - chance),
+        "brier": float(np.mean((probability - fell) ** 2)),
         "crps_mm": float(np.mean(crps(forecast, observed))),
     }
 

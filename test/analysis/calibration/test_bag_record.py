@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import struct
 from collections.abc import Callable, Iterable
 from pathlib import Path
@@ -13,10 +12,8 @@ from refusals import refusal
 from twins import TWIN
 
 from greenroof_ros.analysis.calibration.record import read_bag_record
-from greenroof_ros.base.files import shared_directory
 from greenroof_ros.interface.topics import read_topics
 from greenroof_ros.results.bag_write import BagWriter
-from greenroof_ros.site.file import format_site, read_site
 
 START_NS = 1625641200 * 10**9  # 2021-07-07T07:00 UTC, by date -d
 
@@ -47,7 +44,7 @@ def write_bag(
 def test_sums_of_five_minutes(tmp_path: Path) -> None:
     """On 100 m2, 1e-5 m/s are 3 mm in 300 s, 2 l/s are 6 mm, and 1e-4 m3/s is 0.3 mm.
 
-    Nothing states that evapotranspiration was computed, so no crop coefficient is applied.
+    No crop coefficient is applied to the evapotranspiration.
     """
     record = read_bag_record(write_bag(tmp_path / "bag"), TWIN)
     assert record.start.isoformat() == "2021-07-07T08:00:00+01:00"
@@ -59,26 +56,6 @@ def test_sums_of_five_minutes(tmp_path: Path) -> None:
     assert record.reference == pytest.approx(np.full(6, 0.03))
     short = write_bag(tmp_path / "short", range(0, 300, 10))
     refusal(read_bag_record, short, TWIN, match="must be at least five minutes long")
-
-
-@pytest.mark.parametrize(
-    ("method", "reference"), [("fao56", 0.03 / 0.5), ("Penman-Monteith", 0.03)]
-)
-def test_a_crop_coefficient_counts_where_evapotranspiration_was_computed(
-    method: str, reference: float, tmp_path: Path
-) -> None:
-    """The run's own site counts with 0.5, not the site that is fitted with 0.85."""
-    bag = write_bag(tmp_path / "bag")
-    (tmp_path / "summary.json").write_text(
-        json.dumps({"controller": "onoff", "evapotranspiration_method": method})
-    )
-    (tmp_path / "configuration").mkdir()
-    (tmp_path / "configuration" / "site.yaml").write_text(
-        format_site(
-            read_site(shared_directory() / "config" / "site.yaml", {"crop_coefficient": 0.5})
-        )
-    )
-    assert read_bag_record(bag, TWIN).reference == pytest.approx(np.full(6, reference))
 
 
 def test_in_a_gap_the_roof_dries_and_nothing_else_is_known(tmp_path: Path) -> None:
@@ -95,5 +72,5 @@ def test_in_a_gap_the_roof_dries_and_nothing_else_is_known(tmp_path: Path) -> No
     assert list(record.measured) == ["level"] and "6 h in total" in record.notes[-1]
     for series in (record.rain, record.measured["level"], record.pumped):
         assert np.flatnonzero(np.isnan(series)).tolist() == [*range(2 * 12, 8 * 12)]
-    assert record.reference[24:96] == pytest.approx((0.01 * 1 + 0.04 * 3) / 4)
-    assert record.reference[96:] == pytest.approx(0.04)
+    assert record.drying[24:96] == pytest.approx((0.01 * 1 + 0.04 * 3) / 4)
+    assert record.drying[96:] == pytest.approx(0.04)

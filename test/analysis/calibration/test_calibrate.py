@@ -7,17 +7,13 @@ import subprocess
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 from browsers import drawn_page
 from commands import run_command
 from graphs import environment
 from places import DATA
-from refusals import refusal
-from twins import TWIN, a_record, record_rows, write
+from twins import TWIN, record_rows, write
 
-from greenroof_ros.analysis.calibration.record import FitScores
-from greenroof_ros.analysis.calibration.result import check_fit, check_record
 from greenroof_ros.base.files import shared_directory
 from greenroof_ros.site.file import format_site, read_site
 
@@ -46,7 +42,7 @@ def fitted(tmp_path_factory: pytest.TempPathFactory) -> Path:
     )
     assert ended.returncode == 0, ended.stderr
     assert "The runoff in the validation period has an NSE of" in ended.stdout
-    assert "note: rain " in ended.stderr and "warning: " not in ended.stderr
+    assert "note: rain " in ended.stderr
     return directory
 
 
@@ -91,25 +87,3 @@ def test_what_was_refused_writes_nothing(fitted: Path, tmp_path: Path) -> None:
         )
         assert ended.returncode == 2 and ended.stderr.startswith(f"error: {message}")
     assert list(tmp_path.iterdir()) == []
-
-
-def test_too_little_for_a_fit() -> None:
-    """Less than 20 mm of water, as of rain in metres."""
-    rain = np.where(np.arange(3000) % 100 == 0, 0.001, 0.0)
-    record, every = a_record(rain, level=np.linspace(0, 0.02, 3000)), np.full(3000, True)
-    refusal(check_record, record, every, {}, match="rain: is 0.03 mm in total, .* Is the unit of")
-
-
-@pytest.mark.parametrize(
-    ("nse", "volume_error", "poor"),
-    [(0.5, 0.1, False), (-0.1, 0.1, True), (0.5, 0.6, True), (np.nan, np.nan, False)],
-)
-def test_a_fit_is_judged_by_the_half_that_it_has_not_seen(
-    nse: float, volume_error: float, poor: bool
-) -> None:
-    """By its daily sums, if the steps are shorter."""
-    other = FitScores("runoff", "fit", {3600: -9.0, 86400: -9.0}, 9.0)
-    judged = FitScores("runoff", "validation", {3600: -9.0, 86400: nse}, volume_error)
-    warnings = check_fit([other, judged])
-    assert len(warnings) == poor
-    assert all(text.startswith("do not use this fit: The runoff in the vali") for text in warnings)

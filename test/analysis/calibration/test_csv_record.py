@@ -12,7 +12,7 @@ import pytest
 from refusals import refusal
 from twins import TWIN
 
-from greenroof_ros.analysis.calibration.record import StepRecord, read_csv_record
+from greenroof_ros.analysis.calibration.record import StepRecord, read_csv_record, select_comparable
 from greenroof_ros.site.site import Site
 
 ROWS = 120
@@ -41,10 +41,10 @@ def text_of(
     return "\n".join([f"time,{header}", *rows, ""])
 
 
-def read(file: Path, text: str, site: Site = TWIN, months: str | None = None) -> StepRecord:
+def read(file: Path, text: str, site: Site = TWIN) -> StepRecord:
     """Write a record's file and read it."""
     file.write_text(text)
-    return read_csv_record(file, site, months)
+    return read_csv_record(file, site)
 
 
 def test_units_come_to_mm_of_a_step_and_m(file: Path) -> None:
@@ -81,23 +81,6 @@ def test_a_record_may_have_a_description(file: Path) -> None:
     assert read_csv_record(described, TWIN).measured["runoff"][0] == pytest.approx(0.5)
 
 
-def test_a_pump_state_is_a_share_of_the_flow_at_the_cistern_level(file: Path) -> None:
-    """At 3 m the paper's pumps deliver sqrt((3 + 55.2 - 16) / 1 / b^-2), Eq. 3e.
-
-    Without the cistern's level the flow of a running pump is unknown; a stopped pump delivers 0.
-    """
-    cells = ["0,0.02,50,3,0.1"] * ROWS
-    cells[3], cells[5], cells[7] = "0,0.02,1,,0.1", "0,0.02,0,,0.1", "0,0.02,,3,0.1"
-    record = read(file, text_of(
-        "rain [mm],level [m],pump state [%],cistern level [m],reference evapotranspiration [mm]",
-        cells,
-    ))
-    flow = 0.5 * TWIN.b * np.sqrt(3 + TWIN.c_hat - TWIN.d)
-    assert record.pumped[8:] == pytest.approx(np.full(112, flow * 300 / 100 * 1e3))
-    assert record.pumped[3:8] == pytest.approx([np.nan, *record.pumped[[8]], 0, *record.pumped[[8]],
-                                               np.nan], nan_ok=True)
-
-
 RAIN, RUNOFF, LEVEL = "rain [mm]", "runoff [mm]", "level [m]"
 MINIMUM, MAXIMUM = "minimum temperature [degC]", "maximum temperature [degC]"
 HEADER = ",".join((RAIN, RUNOFF, LEVEL, MINIMUM, MAXIMUM))
@@ -124,7 +107,6 @@ def test_wrong_files_are_refused(file: Path) -> None:
     for text, message in (
         (TEXT.replace(RAIN, "pumped [mm]"), r"csv, line 1: must have the columns 'rain \[mm"),
         (TEXT.replace(MAXIMUM, "pumped [mm]"), "or both 'minimum temperature"),
-        (TEXT.replace(RUNOFF, "pump state [1]"), "with 'pump state', also 'cistern level"),
         (TEXT.replace("T00:30,0.1", "T00:30,169"), r"line 8: rain \[mm\] = '169': must be"),
         (text_of(HEADER, "0,0,0,5,15", since(JUNE, 2880 * np.arange(120))), "are 48 h apart"),
         (text_of(HEADER, "0,0,0,5,15", since(JUNE, np.cumsum(np.resize([5, 5, 7], 120)))),
@@ -138,30 +120,29 @@ def test_wrong_files_are_refused(file: Path) -> None:
         refusal(read, file, TEXT, replace(TWIN, **{lacks: None}), match=needed)
 
 
-def test_an_hour_of_evapotranspiration_may_be_missing_and_no_more(file: Path) -> None:
-    """It grows by 0.01 mm/day from row to row, and also through the gap.
+def test_a_gap_in_evapotranspiration_hides_the_time_after_it(file: Path) -> None:
+    """It grows by 0.01 mm/day from row to row, also through a gap of an hour.
 
-    In other months than those that are used, more may be missing.
+    In a longer gap, the roof dries as on average, and nothing is compared in the week after it.
     """
     values = 2 + 0.01 * np.arange(ROWS)
 
-    def without(missing: int, months: str | None = None) -> StepRecord:
+    def without(missing: int) -> StepRecord:
         cells = [f"0,0.02,{value:.2f}" for value in values]
         cells[30:30 + missing] = ["0,0.02,"] * missing
         header = f"{RAIN},{LEVEL},reference evapotranspiration [mm/day]"
-        return read(file, text_of(header, cells), months=months)
+        return read(file, text_of(header, cells))
 
     assert without(12).reference == pytest.approx(values / 288)
-    assert refusal(without, 13).startswith(
-        f"{file}: reference evapotranspiration: has no value at 2021-06-01 02:30: "
-    )
-    assert without(13, "7-8").reference[30] == pytest.approx(
-        np.delete(values, range(30, 43)).mean() / 288
-    )
+    assert select_comparable(without(12)).all()
+    longer = without(13)
+    assert np.flatnonzero(np.isnan(longer.reference)).tolist() == [*range(30, 43)]
+    assert longer.drying[30] == pytest.approx(np.delete(values, range(30, 43)).mean() / 288)
+    assert np.flatnonzero(select_comparable(longer)).tolist() == [*range(30)]
 
 
-def test_temperatures_that_show_no_day_are_refused(file: Path) -> None:
-    """None after ten days; none in early April, as of a logger put away in winter; none at all.
+def test_temperatures_that_show_no_day(file: Path) -> None:
+    """None from 13 days on; none in early April, as of a logger put away in winter; none at all.
 
     Six-hourly temperatures show no extremes, and nor does a minimum above the maximum.
     """
@@ -173,14 +154,12 @@ def test_temperatures_that_show_no_day_are_refused(file: Path) -> None:
         ]
         return text_of(f"{RAIN},{LEVEL},{MINIMUM},{MAXIMUM}", cells, hours)
 
+    for days, known in ((range(10), range(13)), (range(15, 60), range(12, 60))):
+        reference = read(file, of_days(days)).reference.reshape(60, 24)
+        assert np.flatnonzero(~np.isnan(reference).any(axis=1)).tolist() == [*known]
     six_hourly = text_of(f"{RAIN},{LEVEL},temperature [degC]", "0,0.02,12", hours[::6])
-    for text, day in (
-        (of_days(range(10)), "2021-04-14"), (of_days(range(15, 60)), "2021-04-01"),
-        (of_days(()), "2021-04-01"), (of_days(range(60), "15,5"), "2021-04-01"),
-        (six_hourly, "2021-04-01"),
-    ):
-        refusal(read, file, text, match=f"has no temperatures within 3 days of {day}")
-    assert np.all(read(file, of_days(range(15, 60)), months="5-6").reference >= 0)
+    for text in (of_days(()), of_days(range(60), "15,5"), six_hourly):
+        refusal(read, file, text, match="has no evapotranspiration; if it is computed, each day")
 
 
 LYON = replace(TWIN, latitude=45 + 43 / 60, longitude=4.85, utc_offset=1.0)

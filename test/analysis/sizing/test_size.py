@@ -18,7 +18,7 @@ from graphs import wait_for
 from places import CONFIG, DATA, Once
 
 import greenroof_ros as gr
-from greenroof_ros.analysis.sizing.designs import Design, build
+from greenroof_ros.analysis.sizing.designs import BY_DESIGN, Design, build
 from greenroof_ros.analysis.sizing.sizes import Sizes
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.site.file import read_site
@@ -42,13 +42,12 @@ def size(directory: Path, *options: str) -> subprocess.CompletedProcess[str]:
 
 @pytest.fixture(scope="module")
 def sized(once: Once) -> Path:
-    """The directory of a run with prices: two targets, three cisterns and outlets, two weeks."""
+    """The directory of a run: two targets, three cisterns and outlets, two weeks."""
 
     def fill(directory: Path) -> None:
         result = size(
             directory, *WEEK, "--volumes", "2", "5", "10", "--targets", "30", "39", "--output",
-            "out", "--mains-price", "2", "--storm-water-price", "1", "--cistern-price", "600",
-            "--cistern-years", "30",
+            "out",
         )
         assert result.returncode == 0, result.stderr
         (directory / "printed").write_text(result.stdout)
@@ -58,7 +57,7 @@ def sized(once: Once) -> Path:
 
 @pytest.fixture(scope="module")
 def sizes() -> Sizes:
-    """The same from Python, in this process and without prices."""
+    """The same from Python, in this process."""
     return gr.size(**OPTIONS)
 
 
@@ -86,7 +85,7 @@ def test_the_sentence_comes_first(sized: Path) -> None:
 
 
 def test_the_table_has_each_design_and_season(sized: Path) -> None:
-    """Nothing that was varied is averaged over; costs and shares follow from the volumes."""
+    """Nothing that was varied is averaged over; shares follow from the volumes."""
     rows = rows_of(sized)
     assert len({
         (row["volume_m3"], row["target_mm"], row["outlet"], row["season"]) for row in rows
@@ -99,9 +98,6 @@ def test_the_table_has_each_design_and_season(sized: Path) -> None:
         )
         assert value["evapotranspiration_lost_share"] == pytest.approx(
             1 - value["evapotranspiration_ratio"]
-        )
-        assert value["cost"] == pytest.approx(
-            2 * value["mains_m3"] + value["wet_discharge_m3"] + 20 * value["volume_m3"]
         )
     comments = (sized / "out" / "sizes.csv").read_text().partition("volume_m3")[0]
     assert "the cistern half full" in comments and "were filled" in comments
@@ -129,7 +125,7 @@ def test_python_gives_the_same(sized: Path, sizes: Sizes) -> None:
 @pytest.mark.parametrize("outlet", ["none", "drain"])
 def test_a_design_alone_gives_the_same(sizes: Sizes, outlet: str) -> None:
     """The paper's plant, tick by tick and one at a time, with the same site and weather."""
-    design = Design(5.0, sizes.recommended.target, outlet)
+    design = Design(5.0, sizes.recommended.target_mm, outlet)
     site, parameters = build(read_site(VALVE), design)
     for number, year in enumerate(sizes.seasons):
         alone = gr.simulate(
@@ -137,7 +133,7 @@ def test_a_design_alone_gives_the_same(sizes: Sizes, outlet: str) -> None:
             gaps="fill", initial=(2.5, site.x2_star), **parameters,
         ).metrics
         for name in ("pumped_m3", "mains_m3", "wet_discharge_m3", "overflow_days", "stress_hours"):
-            found = sizes.table_of_seasons.filter(**design.columns)[name][number]
+            found = sizes.table_of_seasons.filter(**design._asdict())[name][number]
             assert found == pytest.approx(alone[name], abs=1e-6), name
 
 
@@ -145,19 +141,21 @@ def test_a_design_alone_gives_the_same(sizes: Sizes, outlet: str) -> None:
 def test_an_assumption_alone_gives_the_same(sizes: Sizes) -> None:
     """The recommended design of a site whose file has the other value."""
     names = {"runoff coefficient of": "runoff_coefficient", "coefficient of the solar": "k_Rs"}
-    for text, value, rows, _ in sizes.tested:
+    for (text, value), rows in sizes.tested.group_by("assumption", "value"):
         for name in (name for start, name in names.items() if text.startswith(start)):
-            changed = read_site(VALVE, {name: value})
+            changed = read_site(VALVE, {name: float(value)})
             other = gr.size(**OPTIONS | {"site": changed}).table_of_seasons
-            assert other.filter(**sizes.recommended.columns).equals(rows)
+            expected = other.filter(**sizes.recommended._asdict()).drop(BY_DESIGN)
+            assert rows.select(expected.columns).equals(expected)
 
 
 def test_other_initial_states_bracket_the_half_full_one(sizes: Sizes) -> None:
     """More water at the start is less from the mains and more in the sewer, nearly always."""
-    empty, full = sizes.tested[-2:]
-    half = sizes.table_of_seasons.filter(**sizes.recommended.columns)
+    label = "share of the cistern filled at the start; used: 0.5"
+    used = sizes.tested.filter(assumption="as used")
+    empty, full = (sizes.tested.filter(assumption=label, value=value) for value in "01")
     mains, wet = (
-        [each[name].mean() for each in (empty.rows, half, full.rows)]
+        [each[name].mean() for each in (empty, used, full)]
         for name in ("mains_m3", "wet_discharge_m3")
     )
     assert mains[0] >= mains[1] >= mains[2]
@@ -172,7 +170,7 @@ def test_the_page_in_a_browser(sized: Path, tmp_path: Path) -> None:
             "The recommendation", "Pictures", "What it rests on", "Other targets and outlets",
             "What was read", "How it was made",
         ]
-        assert page.locator("tr.marked").count() == 6  # one of each table
+        assert page.locator("tr.marked").count() == 5  # one of each table
         for width in (400, 1280):
             page.set_viewport_size({"width": width, "height": 900})
             page.wait_for_function(f"document.documentElement.scrollWidth <= {width}")
@@ -201,7 +199,7 @@ def test_a_season_without_rain_or_irrigation() -> None:
 def test_a_knee_at_the_ends_of_the_volumes() -> None:
     """No cistern saves a million m3 for each m3, and each saves at least none."""
     never, always = (gr.size(**OPTIONS | {"knee": amount}) for amount in (1e6, 0.0))
-    assert (never.recommended.volume, always.recommended.volume) == (2.0, 10.0)
+    assert (never.recommended.volume_m3, always.recommended.volume_m3) == (2.0, 10.0)
     assert "smaller cisterns are worth trying" in " ".join(never.notes)
     assert "larger cisterns are worth trying" in " ".join(always.notes)
 
@@ -236,11 +234,6 @@ WRONG: list[tuple[dict[str, Any], str]] = [
     ({"season": "05-01/10-31"}, "does not cover a complete season, 1 May to 31 October"),
     ({"season": "summer"}, "season = 'summer': must be the first and the last day"),
     ({"knee": -1}, "knee = -1: must be"),
-    ({"mains_price": 2.0}, "storm_water_price: is missing: value of 1 m3 of storm"),
-    ({"mains_price": -2.0, "storm_water_price": 1, "cistern_price": 1, "cistern_years": 30},
-     "mains_price = -2.0: must be"),
-    ({"mains_price": 2, "storm_water_price": 1, "cistern_price": 1, "cistern_years": 0},
-     "cistern_years = 0: must be"),
 ]
 
 
@@ -264,7 +257,6 @@ def test_a_site_without_its_place(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("options", "message"), [
     (["--volumes", "5,0"], "--volumes: must be a number from 0.05 to 100000, with a decimal"),
-    (["--cistern-price", "600"], "error: --mains-price: is missing: price of 1 m3 of mains"),
     (["--season", "04-01/10-31"], "does not cover a complete season, 1 April to 31 October"),
     (["--output", "mine"],
      "error: --output = 'mine': exists and is not empty: it contains letter.txt;"),

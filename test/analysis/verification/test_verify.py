@@ -97,9 +97,8 @@ def test_runs_by_lead(tmp_path: Path) -> None:
         for hour, members in ((0, (0.0, 2.0)), (6, (4.0, 1.0)))
     ]))
     write_gauge(tmp_path / "own.csv", [0.0] * 6 + [1.0] * 6 + [3.0] * 6 + [0.0] * 6)
-    rows = verify(
-        tmp_path / "runs.csv", [str(tmp_path / "own.csv")], lead=6, sums=[6], events=[6.0]
-    ).rows
+    made = verify(tmp_path / "runs.csv", [str(tmp_path / "own.csv")], lead=6).rows
+    rows = [row for row in made if row["sum_hours"] == 6]
     assert [(row["lead_from_h"], row["lead_to_h"]) for row in rows] == [(0, 6), (6, 12)]
     # Sums of six hours. Near: 0 and 12 against 0, 24 and 6 against 6; far: the same against 6, 18.
     assert [[row[name] for name in ("bias", "n", "pod", "far")] for row in rows] == [
@@ -120,9 +119,7 @@ def test_rain_that_is_an_hour_late(tmp_path: Path) -> None:
         issue_of(first + hour * HOUR, np.array([rain[hour:hour + 24]]))
         for hour in range(0, len(rain), 24)
     ]))
-    (hourly,) = verify(
-        tmp_path / "right.csv", [str(JULY)], sums=[1], events=[1.0], horizon=24
-    ).rows
+    hourly, *_ = verify(tmp_path / "right.csv", [str(JULY)], horizon=24).rows
     assert hourly["n"] == len(rain)
     got = [hourly[name] for name in ("r", "bias", "pod", "far")]
     assert got == pytest.approx([1.0, 1.0, 1.0, 0.0])
@@ -155,11 +152,8 @@ def test_what_is_printed(tmp_path: Path) -> None:
 # --- wrong use ------------------------------------------------------------------------------------
 
 WRONG = {
-    "GEM --events 1 2": "sums, events: must be used together",
-    "GEM --lead 6 --sums 12 --events 3": "--sums = 12: must divide lead (6 h)",
-    "GEM --lead 6 --sums 6 --events 2":
-        f"--lead = 6: must be a multiple of 24 h, the finest lead time of {GEM}",
-    "GEM": f"{GEM}: include no complete sum in the period of the records: the",
+    "GEM --lead 6": f"--lead = 6: must be a multiple of 24 h, the finest lead time of {GEM}",
+    "GEM": f"{GEM}: include no complete sum in the period of the records, ",
 }
 
 
@@ -171,15 +165,3 @@ def test_wrong_use(tmp_path: Path, arguments: str) -> None:
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr.startswith(f"error: {WRONG[arguments]}")
     assert list(tmp_path.iterdir()) == []
-
-
-def test_forecasts_of_another_place_are_a_warning(tmp_path: Path) -> None:
-    rng = np.random.default_rng(7)
-    fell, elsewhere = rng.gamma(0.5, 2.0, (2, 1300)) * (rng.random((2, 1300)) < 0.06)
-    write_gauge(tmp_path / "gauge.csv", fell)
-    (tmp_path / "other.csv").write_text(write_forecasts([
-        issue_of(FIRST + hour * HOUR, elsewhere[None, hour:hour + 24])
-        for hour in range(0, 1300, 24)
-    ]))
-    made = verify(tmp_path / "other.csv", [str(tmp_path / "gauge.csv")], horizon=24)
-    assert "unrelated to the records" in made.warnings[0]
