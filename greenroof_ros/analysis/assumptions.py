@@ -1,4 +1,7 @@
-"""Assumptions on which the results of simulations rest, and both ends of what is likely."""
+"""Assumptions on which the results of simulations rest, and both ends of what is likely.
+
+A climate other than that of the record counts as an assumption.
+"""
 
 from __future__ import annotations
 
@@ -6,14 +9,16 @@ from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any, NamedTuple
 
+from greenroof_ros.simulation.inputs import RunInputs
 from greenroof_ros.site.site import Site
+from greenroof_ros.weather.climate import CLIMATE
 
 
 class Assumption(NamedTuple):
-    """A parameter of the site that is seldom known, and the range in which it probably lies."""
+    """What is seldom known about a site or its climate, and the range in which it probably lies."""
 
     name: str
-    """parameter of the site"""
+    """parameter of the site, or input that changes the climate"""
     label: str
     low: float
     high: float
@@ -38,13 +43,32 @@ ASSUMPTIONS = (
         "k_Rs", "coefficient of the solar radiation that was not measured", 0.16, 0.19,
         "inland and coast, FAO-56, Eq. 50",
     ),
+    Assumption(
+        "rain_factor", "rain of another climate, relative to the record", 0.9, 1.2, "[assumed]",
+    ),
+    Assumption(
+        "temperature_change", "warming since the record, at the same relative humidity (K)", 1.5,
+        3.0, "[assumed]",
+    ),
 )
+OF_WEATHER = {"k_Rs", *CLIMATE}
+"""names of those for which the weather must be read again"""
 
 
-def list_ends(site: Site) -> Iterator[tuple[Assumption, float, Site]]:
-    """Yield both ends of every assumption that affects a site, each with a site that has it."""
+def list_ends(
+    site: Site, inputs: RunInputs
+) -> Iterator[tuple[Assumption, float, float, Site, RunInputs]]:
+    """Yield both ends of every assumption that affects a site.
+
+    Each comes with the value that is used, the value of the end, and a site and inputs that have
+    the latter.
+    """
     for each in ASSUMPTIONS:
         if each.name != "percolation_exponent" or site.field_capacity is not None:
             for value in (each.low, each.high):
                 changed: dict[str, Any] = {each.name: value}
-                yield each, value, replace(site, **changed)
+                if each.name in CLIMATE:
+                    used, other = getattr(inputs, each.name), replace(inputs, **changed)
+                    yield each, used, value, site, other
+                else:
+                    yield each, getattr(site, each.name), value, replace(site, **changed), inputs

@@ -12,6 +12,7 @@ from greenroof_ros.base.times import FIRST_YEAR, LAST_YEAR, to_minutes
 from greenroof_ros.simulation.inputs import RunInputs
 from greenroof_ros.simulation.run import Run
 from greenroof_ros.site.site import Site
+from greenroof_ros.weather.climate import RECORDED
 from greenroof_ros.weather.quantities import FOR_EVAPOTRANSPIRATION, PRECIPITATION
 from greenroof_ros.weather.series import Weather
 
@@ -123,6 +124,8 @@ def list_notes(runs: Mapping[str, Run], site: Site) -> list[str]:
     own = (replace(run, site=site) for run in runs.values())
     notes = [note for run in own for note in (*run.weather.left_out, *run.notes())]
     notes += [note for run in runs.values() for note in run.series.summary["notes"]]
+    notes += [f"weather of another climate: {run.weather.climate}" for run in runs.values()
+              if run.weather.climate != RECORDED]
     for quantity in (PRECIPITATION, *FOR_EVAPOTRANSPIRATION):
         hours = {name: run.series.filled_counts.get(quantity, 0) for name, run in runs.items()}
         if any(hours.values()):

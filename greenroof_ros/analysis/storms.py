@@ -15,6 +15,7 @@ import polars as pl
 
 from greenroof_ros.analysis.figures import COLOURS, Figure, Panel
 from greenroof_ros.analysis.page import Section, claim_output, make_page, write_output
+from greenroof_ros.analysis.references import NO_IRRIGATION, NO_ROOF, remove_cistern
 from greenroof_ros.analysis.tables import Table, format_number
 from greenroof_ros.base.errors import ConfigurationError, describe_choices
 from greenroof_ros.base.ranges import Range
@@ -22,8 +23,6 @@ from greenroof_ros.controllers.registry import find_controller
 from greenroof_ros.physics.storm_water import connected_area
 from greenroof_ros.simulation import loop
 from greenroof_ros.simulation.inputs import make_inputs
-from greenroof_ros.site.file import check_site
-from greenroof_ros.site.site import WITHOUT_VALVE, Site
 from greenroof_ros.weather.design_storm import Depths, make_storm, read_depths
 
 PAGE, TABLE = "storms.html", "storms.csv"
@@ -33,11 +32,10 @@ HEADINGS = {
     "volume_m3": "volume (m³)", "volume_reduction_percent": "less by (%)",
     "discharge_m3": "in all weather (m³)",
 }
-NO_ROOF, NO_IRRIGATION = "no green roof", "no irrigation"
 BEFORE_H, AFTER_H = 48, 72
 """hours without rain before a storm, for which plan looks ahead, and after it"""
 _START, _RAIN = np.datetime64("2001-07-01T00:00", "m"), "precipitation [mm/h]"
-_RUN_ON_H, _TINY_M2 = 24, 0.01
+_RUN_ON_H = 24
 
 
 def design_storm(
@@ -199,7 +197,7 @@ def storms(
     source, control = read_depths(Path(depths)), find_controller("onoff")
     inputs = make_inputs(control, {"site": site})
     house_file, house = inputs.site, replace(inputs.read_site(), tau=60.0, M=1)
-    full, without = filled * house.a1 * house.z_o, _remove_cistern(house)
+    full, without = filled * house.a1 * house.z_o, remove_cistern(house)
     states = {"wet": (house.z_cap, house.z_cap), "dry": (house.x2_star, house.wilting_volume)}
     if state not in states:
         raise ConfigurationError(describe_choices(states, state), key="state", value=state)
@@ -236,18 +234,8 @@ def storms(
             "cistern. Nothing evaporates, and plan has a perfect forecast.",
             f"{NO_ROOF.capitalize()}: all rain on the {house.a2:g} m² of the green roof, and "
             f"{100 * house.runoff_coefficient:g} % of that on {house.a_in:g} m² of other roofs, "
-            f"reaches the sewer at once. {NO_IRRIGATION.capitalize()}: the green roof without a "
-            "cistern.",
+            f"reaches the sewer at once. {NO_IRRIGATION.capitalize()}: no cistern either.",
             "Peaks are means of 5 min. Peaks and volumes count from the first rain to "
             f"{house.wet_after:g} h after the last.",
         ], [source.note],
     )
-
-
-def _remove_cistern(site: Site) -> Site:
-    """Return a site whose green roof is not irrigated, and whose tiny cistern overflows at once."""
-    return check_site(replace(
-        site, irrigation="none", a1=_TINY_M2, initial_cistern=None, initial_roof=None,
-        low_outlet_level=None, low_outlet_radius=None, mains_level=None, mains_flow=None,
-        **WITHOUT_VALVE,
-    ))

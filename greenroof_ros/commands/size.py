@@ -37,6 +37,7 @@ from greenroof_ros.base.errors import rename_keys, require_extra
 from greenroof_ros.base.processes import Signals, count_cores
 from greenroof_ros.base.progress import ProgressBar
 from greenroof_ros.simulation.inputs import INPUTS
+from greenroof_ros.weather.climate import CLIMATE
 
 
 def make_parser() -> Parser:
@@ -50,7 +51,8 @@ def make_parser() -> Parser:
         "the files must cover at least one season",
     )
     add_option(group, INPUTS["evapotranspiration"], metavar="METHOD")
-    add_option(group, INPUTS["gaps"])
+    for name in ("gaps", *CLIMATE):
+        add_option(group, INPUTS[name])
     group.add_argument(
         "--season", metavar="MM-DD/MM-DD",
         help="first and last day of a season (default: 05-01/10-31, or 11-01/04-30 south of the "

@@ -14,6 +14,7 @@ import polars as pl
 
 from greenroof_ros.analysis.district import file as keys
 from greenroof_ros.analysis.district.buildings import GROUP, ID, LOW_OUTLET, Values, refuse_building
+from greenroof_ros.analysis.references import find_peak
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.controllers.onoff import LEVEL
 from greenroof_ros.controllers.registry import find_controller
@@ -185,21 +186,3 @@ def _equip(
         return site, find_controller("onoff").complete_parameters(site, given)
     except ConfigurationError as error:
         raise refuse_building(district, building, error) from None
-
-
-def find_peak(volumes: Values, durations: Values, minutes: float) -> float:
-    """Return the highest mean of a flow over a number of minutes (m3/s).
-
-    The window may begin at any time, as for the peaks in :mod:`.results.sums`.
-
-    Args:
-        volumes: volume in each interval (m3), shape (intervals,).
-        durations: duration of each interval (s), shape (intervals,).
-        minutes: width of the window (min).
-    """
-    window, edges = 60 * minutes, np.append(0.0, np.cumsum(durations))
-    total = np.append(0.0, np.cumsum(volumes))
-    # The mean of constant pieces is largest where the window begins or ends with one of them.
-    starts = np.concatenate((edges - window, edges))
-    sums = np.interp(starts + window, edges, total) - np.interp(starts, edges, total)
-    return float(sums.max()) / window

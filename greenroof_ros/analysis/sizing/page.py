@@ -7,9 +7,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import altair as alt
+import polars
 
 from greenroof_ros.analysis.figures import Figure, Panel, distinguish_series
 from greenroof_ros.analysis.page import Section, make_page, write_output
+from greenroof_ros.analysis.references import PEAKS, return_periods
 from greenroof_ros.analysis.seasons import find_ranges
 from greenroof_ros.analysis.sizing.choice import MAX_LOST
 from greenroof_ros.analysis.sizing.results import (
@@ -21,16 +23,19 @@ from greenroof_ros.analysis.sizing.results import (
     SHOWN,
     TABLE,
 )
-from greenroof_ros.analysis.tables import Table, write_range
+from greenroof_ros.analysis.tables import Table, format_number, write_range
 
 if TYPE_CHECKING:
-    import polars
-
     from greenroof_ros.analysis.sizing.sizes import Sizes
 
 _TITLE = "Which cistern for the green roof?"
 _RESTS_ON = ("mains_m3", "wet_discharge_m3", KEPT, "discharge_m3", LOST)
 _OF_TARGETS = (*MAIN, LOST, "stress_hours")
+_COMPARED = (
+    "wet_discharge_m3", "discharge_m3", "retention_share", "overflow_days",
+)
+# The peaks that are shown, and how many of the largest.
+_PEAK_MIN, _RANKS = 5, 5
 _HEADINGS = {"volume_m3": "cistern (m³)", "target_mm": "target (mm)"}
 
 
@@ -73,6 +78,11 @@ def list_sections(sizes: Sizes, figures: Sequence[Figure]) -> list[Section]:
         Section("What it rests on", [
             _tabulate_assumptions(sizes),
             sizes.notes,
+        ]),
+        Section("Compared with no green roof", [
+            _tabulate_references(sizes), _tabulate_peaks(sizes),
+            "The return period of the m-th largest peak of n seasons is (n + 1) / m years "
+            "(Weibull's plotting position).",
         ]),
         Section("Other targets and outlets", [
             _tabulate(sizes, f"Targets, cistern {sizes.table['volume_m3'][0]:g} m³, "
@@ -133,6 +143,42 @@ def _tabulate_assumptions(sizes: Sizes) -> Table:
             for row in find_ranges(sizes.tested, BY_TEST).to_dicts()
         ],
         frozenset({0}),
+    )
+
+
+def _select_references(sizes: Sizes) -> polars.DataFrame:
+    """Return the results of each season with the recommended design, and what it is compared with.
+
+    The column ``case`` names them.
+    """
+    own, rows = sizes.recommended, sizes.references
+    case = polars.lit(f"{own.volume_m3:g} m³, {own.described_outlet}").alias("case")
+    used = sizes.table_of_seasons.filter(**own._asdict()).with_columns(case)
+    named = used.select(rows.columns)
+    return polars.concat([rows, named], how="vertical_relaxed")
+
+
+def _tabulate_references(sizes: Sizes) -> Table:
+    """Return the table of the recommended design and of what it is compared with."""
+    shown = {name: SHOWN[name] for name in _COMPARED}
+    return Table("A season", ["", *shown.values()], [
+        [row["case"], *(write_range(row, *each) for each in shown.items())]
+        for row in find_ranges(_select_references(sizes), ["case"]).to_dicts()
+    ])
+
+
+def _tabulate_peaks(sizes: Sizes) -> Table:
+    """Return the table of the seasons' highest peaks by return period."""
+    peaks = {
+        case: sorted(rows[PEAKS[_PEAK_MIN]], reverse=True)
+        for (case,), rows in _select_references(sizes).group_by("case", maintain_order=True)
+    }
+    periods = return_periods(len(sizes.seasons))
+    return Table(
+        f"The seasons' highest discharge over {_PEAK_MIN} min (L/s)",
+        ["return period (years)", *map(str, peaks)],
+        [[f"{period:.3g}", *map(format_number, row)]
+         for period, row in zip(periods, zip(*peaks.values(), strict=True), strict=True)][:_RANKS],
     )
 
 

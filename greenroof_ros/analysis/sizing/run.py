@@ -8,7 +8,8 @@ from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from greenroof_ros.analysis.assumptions import list_ends
+from greenroof_ros.analysis.assumptions import OF_WEATHER, list_ends
+from greenroof_ros.analysis.references import simulate_references
 from greenroof_ros.analysis.seasons import find_ranges, find_seasons, list_notes, read_window
 from greenroof_ros.analysis.sizing import designs as plans
 from greenroof_ros.analysis.sizing.choice import KNEE, find_knee, find_target
@@ -37,7 +38,8 @@ def size(
     weather: Any, site: Any = None, *, evapotranspiration: str | None = None,
     gaps: str | None = None, volumes: Sequence[float] | None = None,
     targets: Sequence[float] | None = None, outlets: Sequence[str] | None = None,
-    season: str | None = None, knee: float = KNEE, jobs: int = 1,
+    season: str | None = None, rain_factor: float = 1.0, temperature_change: float = 0.0,
+    knee: float = KNEE, jobs: int = 1,
     progress: Callable[[str, float], None] = lambda text, share: None,
 ) -> Sizes:
     """Compare cisterns, targets and outlets over all seasons of a record, like ``greenroof size``.
@@ -57,6 +59,9 @@ def size(
             ``"none"`` for a site without a low outlet.
         season: first and last day of the season, as in ``"05-01/10-31"``; by default May to
             October, or November to April south of the equator.
+        rain_factor: factor by which all rain is multiplied, for another climate.
+        temperature_change: difference that is added to all temperatures (K); the relative humidity
+            stays.
         knee: minimum volume of water that each additional m3 of cistern must save per season (m3).
         jobs: number of threads.
         progress: callback that receives the current task and the share of it that is done, 0 to 1;
@@ -84,6 +89,7 @@ def size(
     knee = KNEE_RANGE.read(knee, key="knee")
     inputs = make_inputs(find_controller(plans.CONTROLLER), {
         "site": site, "weather": weather, "evapotranspiration": evapotranspiration, "gaps": gaps,
+        "rain_factor": rain_factor, "temperature_change": temperature_change,
     })
     base = inputs.read_site()
     plans.check_mains(base)
@@ -150,13 +156,13 @@ def size(
             tested.extend(about | row for row in changed.drop(BY_DESIGN).to_dicts())
 
     test("as used", "", rows)
-    for (name, label, *_), value, changed in list_ends(base):
+    for (name, label, *_), used, value, changed, other in list_ends(base, inputs):
         runs = seasons
-        if name == "k_Rs":  # the only one on which evapotranspiration depends
-            ended, _ = inputs.read_records(changed)
-            runs, _ = find_seasons(inputs, replace(ticks, k_Rs=value), ended, window)
+        if name in OF_WEATHER:
+            ended, _ = other.read_records(changed)
+            runs, _ = find_seasons(other, replace(ticks, k_Rs=changed.k_Rs), ended, window)
         made = run(f"assuming {name} {value:g}", designs, changed, runs)
-        test(f"{label}; used: {getattr(base, name):g}", f"{value:g}", made)
+        test(f"{label}; used: {used:g}", f"{value:g}", made)
     for filled in (0.0, 1.0):
         made = run("other initial states", designs, filled=filled)
         test(f"share of the cistern filled at the start; used: {_HALF:g}", f"{filled:g}", made)
@@ -164,7 +170,7 @@ def size(
     left_out = [f"season {name} is left out: {why}" for name, why in incomplete.items()]
     return Sizes(
         inputs.site.stem if isinstance(inputs.site, Path) else "", base, rows, best,
-        make_frame(tested), list(seasons), f"{window}",
+        make_frame(tested), simulate_references(base, seasons, jobs), list(seasons), f"{window}",
         [*plans.list_assumed(base), *_remark(reference, volume, compared)],
         [f"{record.source}: {contents}", *notes, *list_notes(seasons, base), *left_out],
         knee,

@@ -34,6 +34,8 @@ class Sizes:
         recommended: the recommended design.
         tested: results of the recommended design in each season, as used and at both ends of each
             assumption, and of the initial state; :data:`.results.BY_TEST` says which.
+        references: metrics without a green roof, and of one without irrigation, in each season,
+            by ``case``.
         seasons: names of the seasons.
         window: the days of a season, in words.
         notes: assumptions, and remarks on the results.
@@ -47,6 +49,7 @@ class Sizes:
     table_of_seasons: polars.DataFrame
     recommended: Design
     tested: polars.DataFrame
+    references: polars.DataFrame
     seasons: Sequence[str]
     window: str
     notes: Sequence[str]
