@@ -113,10 +113,6 @@ def size(
             lambda share: progress(text, share),
         )
 
-    def add_targets(rows: polars.DataFrame | None, levels: Sequence[float]) -> polars.DataFrame:
-        made = run("comparing targets", [Design(own, level, outlet) for level in levels])
-        return made if rows is None else rows.vstack(made)
-
     def best_target(rows: polars.DataFrame) -> float:
         means = find_ranges(rows, BY_DESIGN).sort("target_mm")
         return find_target(means["target_mm"].to_list(), means[LOST].to_numpy())
@@ -129,21 +125,21 @@ def size(
 
     def best_volume(rows: polars.DataFrame) -> float:
         means = find_ranges(rows.filter(target_mm=target, outlet=outlet), BY_DESIGN)
-        volumes, mains, wet = means.sort("volume_m3").select(
-            "volume_m3", "mains_m3", "wet_discharge_m3"
-        ).to_numpy().T
-        return float(volumes[find_knee(volumes, -(mains + wet), knee)])
+        volumes, mains, wet = means.sort("volume_m3")["volume_m3", "mains_m3", "wet_discharge_m3"]
+        return float(volumes[find_knee(volumes.to_list(), -(mains + wet).to_numpy(), knee)])
 
-    rows = add_targets(None, own_targets or plans.choose_targets(base))
+    levels = own_targets or plans.choose_targets(base)
+    rows = run("comparing targets", [Design(own, level, outlet) for level in levels])
     target = best_target(rows)
     if own_targets is None:
-        rows = add_targets(rows, plans.refine_targets(base, target))
+        finer = [Design(own, level, outlet) for level in plans.refine_targets(base, target)]
+        rows = rows.vstack(run("comparing targets", finer))
         target = best_target(rows)
     rows = add_volumes(rows, compared)
     volume = best_volume(rows)
     if own_volumes is None:
-        finer = plans.refine_volumes(compared, volume)
-        compared, rows = sorted({*compared, *finer}), add_volumes(rows, finer)
+        more = plans.refine_volumes(compared, volume)
+        compared, rows = sorted({*compared, *more}), add_volumes(rows, more)
         volume = best_volume(rows)
     best = Design(volume, target, outlet)
     reference, tested = rows.filter(**best._asdict()), list[dict[str, Any]]()
