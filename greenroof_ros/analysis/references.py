@@ -67,7 +67,7 @@ def simulate_references(
                 "rain_m3": fallen, "discharge_m3": fallen, "wet_discharge_m3": fallen,
                 "retention_share": 0.0,
             },
-            {"case": NO_IRRIGATION, "season": season} | metrics,
+            {"case": NO_IRRIGATION, "season": season} | metrics | {"overflow_days": None},
         ]
     return make_frame(rows, infer_schema_length=None)
 

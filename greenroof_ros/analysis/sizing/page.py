@@ -74,15 +74,15 @@ def list_sections(sizes: Sizes, figures: Sequence[Figure]) -> list[Section]:
             "and in the retention, but not in the discharge in wet weather.",
             first,
         ]),
-        Section("Pictures", figures),
-        Section("What it rests on", [
-            _tabulate_assumptions(sizes),
-            sizes.notes,
-        ]),
         Section("Compared with no green roof", [
             _tabulate_references(sizes), _tabulate_peaks(sizes),
             "The return period of the m-th largest peak of n seasons is (n + 1) / m years "
             "(Weibull's plotting position).",
+        ]),
+        Section("Pictures", figures),
+        Section("What it rests on", [
+            _tabulate_assumptions(sizes),
+            sizes.notes,
         ]),
         Section("Other targets and outlets", [
             _tabulate(sizes, f"Targets, cistern {sizes.table['volume_m3'][0]:g} m³, "
