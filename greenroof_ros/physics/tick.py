@@ -73,7 +73,7 @@ def step(
                 mains = max(mains, outflow + pump - arriving - x1 / tau)
     into_cistern = collected + mains + p.drainage_to_cistern * drained
     cistern = x1 + tau * (into_cistern - outflow - pump)
-    other = draw_other(p, cistern, other_demand)
+    other = draw_other(p, cistern, other_demand) if other_demand > 0 else 0.0
     after = State(
         # A limited tank ends at 0, not a bit below it.
         max(0.0, cistern - tau * other),

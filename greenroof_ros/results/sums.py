@@ -123,8 +123,9 @@ def add(
             sums[WET_DISCHARGE] += tau * discharge
     if mains > 0:
         sums[MAINS] += tau * mains
-    sums[OTHER] += tau * other
-    sums[OTHER_MAINS] += tau * (other_demand - other)
+    if other_demand > 0:
+        sums[OTHER] += tau * other
+        sums[OTHER_MAINS] += tau * (other_demand - other)
     sums[LIMITED] += limited
     sums[MAX_COMMAND] = max(sums[MAX_COMMAND], command)
     sums[BEYOND] += command > 1

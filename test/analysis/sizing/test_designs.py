@@ -21,6 +21,8 @@ from greenroof_ros.analysis.sizing.designs import (
     refine_targets,
     refine_volumes,
 )
+from greenroof_ros.controllers.registry import find_controller
+from greenroof_ros.simulation.inputs import make_inputs
 from greenroof_ros.site.file import check_site, read_site
 
 VALVE = CONFIG / "site_valve.yaml"
@@ -72,15 +74,19 @@ def test_what_a_site_lacks() -> None:
 
 def test_ends_of_the_assumptions() -> None:
     """One at a time; the percolation below field capacity needs a field capacity."""
-    site = read_site(VALVE)
-    ends = [(assumption.name, value) for assumption, value, _ in list_ends(site)]
+    site, inputs = read_site(VALVE), make_inputs(find_controller("onoff"), {})
+    ends = [(assumption.name, value) for assumption, _, value, *_ in list_ends(site, inputs)]
     assert ends == [
         ("percolation_exponent", 1.5), ("percolation_exponent", 3.0), ("wet_after", 1.0),
         ("wet_after", 6.0), ("runoff_coefficient", 0.75), ("runoff_coefficient", 0.95),
-        ("k_Rs", 0.16), ("k_Rs", 0.19),
+        ("k_Rs", 0.16), ("k_Rs", 0.19), ("rain_factor", 0.9), ("rain_factor", 1.2),
+        ("temperature_change", 1.5), ("temperature_change", 3.0),
     ]
-    assert [changed for *_, changed in list_ends(site)][3] == replace(site, wet_after=6.0)
-    assert next(list_ends(read_site(CONFIG / "site.yaml")))[0].name == "wet_after"
+    changed = [(used, *others) for _, used, _, *others in list_ends(site, inputs)]
+    assert changed[3] == (2.0, replace(site, wet_after=6.0), inputs)
+    assert changed[9] == (1.0, site, replace(inputs, rain_factor=1.2))
+    papers = read_site(CONFIG / "site.yaml")
+    assert next(list_ends(papers, inputs))[0].name == "wet_after"
 
 
 def test_an_orifice_gets_a_valve() -> None:
