@@ -25,7 +25,7 @@ from greenroof_ros.weather.table import read_table
 
 Values = NDArray[np.float64]
 
-ID, LINE, GROUP, LOW_OUTLET = "id", "line", "group", "low_outlet"
+ID, LINE, GROUP = "id", "line", "group"
 # A distribution is rejected if its limits leave less of it than this share.
 _MIN_SHARE = 1e-3
 
@@ -77,9 +77,8 @@ def make_buildings(
 
     Returns:
         The listed columns and the drawn keys; ``adopts_at``, the first level of adoption at which
-        each building has a green roof, if it ever has one; its ``group``, the index of this level,
-        or the number of levels; and ``low_outlet``, whether its cistern has a valve, or an orifice
-        in its place. The share of these is the same at every level, to within one building.
+        each building has a green roof, if it ever has one; and its ``group``, the index of this
+        level, or the number of levels.
 
     Raises:
         ConfigurationError: if a value is outside the range of its key.
@@ -99,13 +98,11 @@ def make_buildings(
                 raise district.refuse(f"draw.{name}", f"must be {key.limits}", value)
         values[name] = drawn
     ranks = np.random.default_rng(seed).permutation(count)
-    before, after = (np.floor((ranks + more) * district.valve_share + 1e-9) for more in (0, 1))
     counts = [math.floor(share * count + 0.5) for share in district.shares]
     groups = np.searchsorted(counts, ranks, side="right")
     return listed.with_columns(
         **{name: pl.Series(each) for name, each in values.items()}, group=pl.Series(groups),
         adopts_at=pl.Series([*district.shares, None], dtype=pl.Float64).gather(groups),
-        low_outlet=pl.Series((after > before) & (groups < len(counts))),
     )
 
 

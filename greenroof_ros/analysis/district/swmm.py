@@ -26,8 +26,6 @@ from greenroof_ros.analysis.district.scene import Scene
 from greenroof_ros.base.files import shared_directory
 
 TEMPLATE = shared_directory() / "config/swmm/combined_sewer.inp"
-# Capacity of a sewer that is not stated (mm/h) [assumed].
-_CAPACITY = 5.0
 
 
 def format_series(start: datetime, durations: Values, volumes: Values) -> str:
@@ -90,7 +88,7 @@ def route_scene(directory: Path, scene: Scene, rows: Sequence[dict[str, Any]]) -
         model = directory / f"{flow.name}.inp"
         model.write_text(format_network(
             start=scene.start, end=end, series=files, area=scene.areas.sum(),
-            capacity=scene.district.sewer_capacity or _CAPACITY,
+            capacity=scene.district.sewer_capacity,
         ))
         row |= run_network(model)
 

@@ -10,9 +10,8 @@ import polars
 
 from greenroof_ros.analysis import figures
 from greenroof_ros.analysis.report.cases import Report
-from greenroof_ros.analysis.report.runs import BOUNDS
 from greenroof_ros.analysis.report.trajectories import draw_over_time
-from greenroof_ros.analysis.tables import COLUMNS
+from greenroof_ros.analysis.tables import BOUNDS, COLUMNS
 
 # With more cases than colours, only the best ones are drawn over years and over time.
 _MAX_CASES = len(figures.COLOURS)

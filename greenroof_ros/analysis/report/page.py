@@ -12,8 +12,7 @@ from greenroof_ros.analysis.assumptions import list_ends
 from greenroof_ros.analysis.figures import Figure
 from greenroof_ros.analysis.page import Part, Section, make_page
 from greenroof_ros.analysis.report.cases import Report, rank
-from greenroof_ros.analysis.report.runs import BOUNDS, WET
-from greenroof_ros.analysis.tables import COLUMNS, Table, write, write_range
+from greenroof_ros.analysis.tables import BOUNDS, COLUMNS, WET, Table, write, write_range
 from greenroof_ros.base.text import number_of
 from greenroof_ros.results.metrics import METRICS
 
@@ -57,11 +56,7 @@ def answer(report: Report) -> str:
     """Return the answer: the best cases, what one of them achieves, and what the runs cover."""
     runs, name, won = report.sources.runs, report.show[0], dict[str, list[str]]()
     for place in report.places:
-        best, *others = place.to_dicts()
-        shown = [[_write(case, each) for each in report.show] for case in (best, *others)]
-        equal = shown.count(shown[0]) - 1
-        winner = best["case"] + f" and {number_of(equal, 'equal case')}" * (equal > 0)
-        won.setdefault(winner, []).append(best["place"])
+        won.setdefault(place["case"][0], []).append(place["place"][0])
     best, *others = report.places[0].to_dicts()
     winners = ", ".join(
         case + f" ({'; '.join(places)})" * bool(places[0]) for case, places in won.items()
@@ -75,12 +70,10 @@ def answer(report: Report) -> str:
         f"With {case['case']}: {_write(case, name)}" for case in others
         if case["case"] == runs[0].row["case"]
     ]
-    sites = {run.row["site"]: run.site for run in runs}
-    points = {f"{site.latitude}, {site.longitude}" for site in sites.values()} - {"None, None"}
+    sites = dict.fromkeys(run.row["site"] for run in runs)
     years = report.years["year"].drop_nulls()
     return ". ".join([*sentences, ", ".join([
         f"Covered: {' and '.join(sites) if len(sites) < 3 else number_of(len(sites), 'site file')}",
-        *[f"latitude and longitude {'; '.join(sorted(points))}"] * bool(points),
         *[f"seasons of {years.min()!r} to {years.max()!r}"] * bool(len(years)),
     ])]) + "."
 
