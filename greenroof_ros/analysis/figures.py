@@ -24,17 +24,13 @@ CONFIG: dict[str, Any] = {
     "font": "Arial, Helvetica, sans-serif",
     "background": "white",
     "view": {"stroke": "#cccccc"},
-    "axis": {
-        "labelFontSize": 11, "titleFontSize": 12, "titleFontWeight": "normal",
-        "labelColor": "#222222", "titleColor": "#222222", "gridColor": "#e6e6e6",
-        # Numbers closer than this (px) read as one; the last one is moved inwards.
-        "labelSeparation": 6,
-    },
+    # Numbers of an axis closer than labelSeparation (px) read as one.
+    "axis": {"labelFontSize": 11, "titleFontWeight": "normal", "labelSeparation": 6},
     "legend": {
-        "orient": "bottom", "columns": 1, "labelFontSize": 11,
-        "labelColor": "#222222", "symbolStrokeWidth": 2, "labelLimit": 340, "symbolOpacity": 1,
+        "orient": "bottom", "columns": 1, "labelFontSize": 11, "symbolStrokeWidth": 2,
+        "labelLimit": 340, "symbolOpacity": 1,
     },
-    "title": {"anchor": "start", "fontSize": 13, "fontWeight": "bold", "color": "#222222"},
+    "title": {"anchor": "start"},
 }
 
 Rows = list[dict[str, Any]]

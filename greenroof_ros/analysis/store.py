@@ -146,13 +146,11 @@ class StudyStore:
             inputs, identity = case.inputs, case.identity
             results, error = self.results.get(identity), self.failures.get(identity)
             bounds = self.bounds.get(case.plain.identity, {})
-            least, total = bounds.get("bound_m3"), (results or {}).get("total_deviation_m3")
             rows.append({
                 "run": identity, **self._names[identity], **case.columns(),
                 **parameter_columns({name: inputs.parameters.get(name) for name in parameters}),
                 "status": "done" if results else "not run" if error is None else "failed",
                 "error": error or "", **(results or {}), **bounds,
-                **({"ratio_to_bound": total / least} if total is not None and least else {}),
             })
         columns = dict.fromkeys(column for row in rows for column in row)
         replace_text(self.directory / "results.csv", format_csv(columns, rows))

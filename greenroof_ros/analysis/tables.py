@@ -75,19 +75,20 @@ def format_number(value: float) -> str:
     return f"{value:.0f}" if abs(rounded) >= 100 else f"{rounded:g}"
 
 
-def format_range(
-    mean: float | None, low: float | None, high: float | None, column: Column
-) -> str:
-    """Return a mean with the lowest and the highest value: ``3.5 (1.2 to 7.9)``."""
-    texts = [write(value, column) for value in (mean, low, high)]
-    return texts[0] if texts[1] == texts[2] else f"{texts[0]} ({texts[1]} to {texts[2]})"
-
-
 def write_range(
     row: Mapping[str, Any], name: str, column: Column, low: str = "_min", high: str = "_max"
 ) -> str:
-    """Return a result of a row with its range, whose columns have these endings."""
-    return format_range(row[name], row[name + low], row[name + high], column)
+    """Return a result of a row with its range, as ``3.5 (1.2 to 7.9)``.
+
+    Args:
+        row: results.
+        name: name of the result.
+        column: its presentation.
+        low: ending of the name of the lower end.
+        high: ending of the name of the upper end.
+    """
+    texts = [write(row[name + end], column) for end in ("", low, high)]
+    return texts[0] if texts[1] == texts[2] else f"{texts[0]} ({texts[1]} to {texts[2]})"
 
 
 def _describe(metric: Metric) -> Column:

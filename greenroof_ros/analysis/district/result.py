@@ -78,7 +78,7 @@ class DistrictResult:
 
     @property
     def sentence(self) -> str:
-        """The effect of the best outlet and of half as many, and for what the numbers stand."""
+        """The effect of the best outlet, and for what the numbers stand."""
         table, best = self.table, self.best
         if not best["adoption"]:
             return "No green roofs and cisterns of this district reduce the water in the sewer."
@@ -88,10 +88,6 @@ class DistrictResult:
             f"{shown.say(best, shown.LESS)} less water reaches the sewer in wet weather; over all "
             f"weather, they retain {shown.say(best, 'retention_share')} of the rain."
         )
-        fewer = pl.col("adoption").is_between(0, best["adoption"] / 2, closed="right")
-        for row in table.filter(fewer, outlet=best["outlet"])[-1:].iter_rows(named=True):
-            less = shown.say(row, shown.LESS)
-            text += f" On {row['buildings']:,.0f} buildings, {less} less."
         first = table.row(0, named=True)
         name, how = "sewer_overflow_m3", "unrouted"
         if "routed_overflow_m3" in first:
@@ -134,13 +130,11 @@ class DistrictResult:
         html = make_page(title, self.sentence, [
             Section("The results", [
                 f"{count} have a connected area of {area:.3g} ha in the first draw. "
-                "A season begins with cisterns half full and roofs "
-                "at their targets. The buildings are compared with the same "
-                "buildings as they are, from whose roofs all rain runs off at once. Wet weather is "
-                f"the time of rain and the {self.site.wet_after:g} h after it. What valves release "
-                "in dry weather reaches the same sewer: it counts in the discharge and in the "
-                "retention. Percentages are means of the seasons' percentages, which differ a "
-                "little from the ratios of the mean volumes.",
+                "A season begins with cisterns half full and roofs at their targets. The buildings "
+                "are compared with the same buildings as they are, from whose roofs all rain runs "
+                f"off at once. Wet weather is the time of rain and the {self.site.wet_after:g} h "
+                "after it. What valves release in dry weather reaches the same sewer: it counts in "
+                "the discharge and in the retention.",
                 *(shown.tabulate(table, columns, caption) for columns, caption in (
                     (shown.VOLUMES, "Volumes in a season"),
                     (shown.ROUTED, "Routed by SWMM, first draw of the buildings"),
@@ -169,9 +163,7 @@ class DistrictResult:
             Section("What was read", [self.notes]),
             Section("How it was made", [
                 f"greenroof district {district.path.name}, seeds {district.seed} to "
-                f"{district.seed + district.draws - 1}, ticks of {district.tau:g} s. results.csv "
-                "has the means and percentiles, seasons.csv the results of every draw and season, "
-                "buildings.csv those of every building of the first draw.",
+                f"{district.seed + district.draws - 1}, ticks of {district.tau:g} s.",
             ]),
         ])
         texts = (frame.write_csv() for frame in (table, self.all_rows, self.buildings))

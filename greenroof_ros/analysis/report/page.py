@@ -10,7 +10,7 @@ from typing import Any
 
 from greenroof_ros.analysis.assumptions import list_ends
 from greenroof_ros.analysis.figures import Figure
-from greenroof_ros.analysis.page import Part, Section, make_page
+from greenroof_ros.analysis.page import Section, make_page
 from greenroof_ros.analysis.report.cases import Report, rank
 from greenroof_ros.analysis.tables import BOUNDS, COLUMNS, WET, Table, write, write_range
 from greenroof_ros.base.text import number_of
@@ -18,7 +18,7 @@ from greenroof_ros.results.metrics import METRICS
 
 # Water that enters the sewer in dry weather is not kept out of it.
 _BESIDE = {WET: ("discharge_m3", "retention_share")}
-# With more cases than this, only results.csv contains all results.
+# With more cases than this, only results.csv contains the results of the others.
 _MAX_CASES = 8
 # Longer notes are cut; results.csv and summary.json contain all of them.
 _MAX_NOTE = 160
@@ -39,7 +39,7 @@ def render(report: Report, figures: Sequence[Figure]) -> str:
     sections = [
         Section(failed.caption, [failed] * bool(failed.rows)),
         Section("Results", [make_table(report, _columns(report)), *figures]),
-        Section("All results", [make_full_table(report)]),
+        Section("All results", [make_full_table(report)], folded=True),
         Section("What it rests on", [make_notes(report), _list_assumptions(report)]),
         Section("What was read", [report.sources.read], folded=True),
         Section("How it was made", [
@@ -70,12 +70,9 @@ def answer(report: Report) -> str:
         f"With {case['case']}: {_write(case, name)}" for case in others
         if case["case"] == runs[0].row["case"]
     ]
-    sites = dict.fromkeys(run.row["site"] for run in runs)
     years = report.years["year"].drop_nulls()
-    return ". ".join([*sentences, ", ".join([
-        f"Covered: {' and '.join(sites) if len(sites) < 3 else number_of(len(sites), 'site file')}",
-        *[f"seasons of {years.min()!r} to {years.max()!r}"] * bool(len(years)),
-    ])]) + "."
+    sentences += [f"Seasons of {years.min()!r} to {years.max()!r}"] * bool(len(years))
+    return ". ".join(sentences) + "."
 
 
 def _write(case: Mapping[str, Any], name: str) -> str:
@@ -119,11 +116,9 @@ def make_table(report: Report, names: Sequence[str]) -> Table:
     )
 
 
-def make_full_table(report: Report) -> Part:
-    """Return the table of all results, or where they are if there are too many cases."""
-    cases = [case for place in report.places for case in place.to_dicts()]
-    if len(cases) > _MAX_CASES:
-        return "All results of every run are in results.csv of the study."
+def make_full_table(report: Report) -> Table:
+    """Return the table of all results of the first cases."""
+    cases = [case for place in report.places for case in place.to_dicts()][:_MAX_CASES]
     labels = [f"{case['case']}, {case['place']}".rstrip(", ") for case in cases]
     return Table("Means (lowest to highest run)", ["result", *labels], [
         [COLUMNS[name].heading, *(write_range(case, name, COLUMNS[name]) for case in cases)]

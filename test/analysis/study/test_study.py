@@ -24,9 +24,7 @@ def test_bound_next_to_each_run(papers: Path) -> None:
     bounds = {row["initial"]: float(row["bound_m3"]) for row in rows}
     assert bounds["low-low"] == pytest.approx(4422, abs=1)
     for row in rows:
-        ratio = float(row["total_deviation_m3"]) / bounds[row["initial"]]
-        assert float(row["ratio_to_bound"]) == ratio
-        assert ratio > 1 - 1e-9
+        assert float(row["total_deviation_m3"]) / bounds[row["initial"]] > 1 - 1e-9
 
 
 @pytest.fixture
