@@ -9,7 +9,6 @@ import sys
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from datetime import datetime
 from importlib.metadata import packages_distributions
 from modulefinder import ModuleFinder
 from pathlib import Path
@@ -63,11 +62,6 @@ class Case:
         """The site."""
         assert isinstance(self.inputs.site, Site)
         return self.inputs.site
-
-    @property
-    def start(self) -> datetime:
-        """Time of tick 0."""
-        return datetime.fromisoformat(self.inputs.start)
 
     @property
     def hours(self) -> float:

@@ -168,10 +168,7 @@ class _Reader:
         for reference in section:
             with self._at(section.lines, reference):
                 controller = find_controller(reference)
-            blocks = [YamlMapping()]
-            if section[reference] is not None:
-                blocks = [*self._expand(section, reference)]
-            for block in blocks:
+            for block in self._expand(section, reference):
                 forecasts = [*self._forecasts(block)] or usual
                 block.pop("forecast", None)
                 yield from ((controller, block, forecast) for forecast in forecasts)
@@ -190,6 +187,8 @@ class _Reader:
             first: key that a block must contain; a text stands for a block with only this key.
         """
         for block in self._list(mapping, key):
+            if block is None:  # a controller without parameters
+                block = YamlMapping()
             if isinstance(block, str) and first:
                 block = YamlMapping({first: block}, {first: mapping.lines[key]})
             if not isinstance(block, YamlMapping) or (first and first not in block):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
-from datetime import timedelta
+from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
 
@@ -17,8 +17,6 @@ from greenroof_ros.results.table import format_exactly
 from greenroof_ros.site.file import DETERMINES, SITE_KEYS
 from greenroof_ros.weather.records import name_files
 
-# Minimum length of a season (h); shorter runs are none, even on the same day of several years.
-_SEASON_H = 168.0
 # The words for the valve's policy, and for the parameters of a site that a plain key sets alone.
 _WORDS = {"outlet": "valve"} | {own: key for key, (own, *more) in DETERMINES.items() if not more}
 
@@ -33,7 +31,7 @@ def name_cases(cases: Sequence[Case]) -> list[dict[str, str]]:
     sites = tell_apart([_describe_site(case) for case in cases])
     seasons, of_season = list[dict[str, str]](), dict[str, set[int]]()
     for case, site in zip(cases, sites, strict=True):
-        start, hours = case.start, case.hours
+        start, hours = datetime.fromisoformat(case.inputs.start), case.hours
         seasons.append({
             "site": site, "weather": name_files(case.inputs.weather),
             "start": f"from {start:%d %B %H:%M}",
@@ -43,7 +41,7 @@ def name_cases(cases: Sequence[Case]) -> list[dict[str, str]]:
         })
         of_season.setdefault(str(seasons[-1]), set()).add(start.year)
     facts = [
-        season if len(of_season[str(season)]) > 1 and case.hours >= _SEASON_H else season | {
+        season if len(of_season[str(season)]) > 1 else season | {
             "start": f"from {case.inputs.start}", "hours": f"{format_exactly(case.hours)} h",
         } for case, season in zip(cases, seasons, strict=True)
     ]

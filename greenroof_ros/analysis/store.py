@@ -109,8 +109,6 @@ class StudyStore:
                     (self.inputs / name).write_bytes(content)
             replace_text(file, json.dumps(identity, indent=2) + "\n")
         self._runs.mkdir(exist_ok=True)
-        for cut_short in self._runs.glob("*.part"):
-            shutil.rmtree(cut_short)
 
     def name(self, case: Case) -> str:
         """Return the name of a case: what differs from the others."""

@@ -27,7 +27,6 @@ from greenroof_ros.results.forked_polars import make_frame
 from greenroof_ros.results.table import find_differing_keys
 from greenroof_ros.simulation.inputs import RunInputs, find_needs, make_inputs
 from greenroof_ros.simulation.run import Run
-from greenroof_ros.site.file import read_site
 from greenroof_ros.site.site import Site
 from greenroof_ros.weather.frame import is_frame
 from greenroof_ros.weather.read import read_weather, write_plain
@@ -50,7 +49,6 @@ class Files:
         self.runs = dict[tuple[object, ...], tuple[Run, list[str]]]()
         self._names = dict[tuple[Path, bytes], str]()
         self._write_plain = functools.cache(write_plain)
-        self._read_site = functools.cache(read_site)
         self._read_weather = functools.cache(read_weather)
         self._write_archive = functools.cache(
             lambda path, site: write_forecasts(read_archive(path, site))
@@ -67,10 +65,9 @@ class Files:
             ConfigurationError: if the run is invalid.
         """
         if isinstance(inputs.site, Path):
-            site_file, inputs = inputs.site.name, replace(inputs, site=self._read_site(inputs.site))
-        site = inputs.site
-        assert isinstance(site, Site)
-        inputs = choose_used(inputs, site)
+            site_file = inputs.site.name
+        site = inputs.read_site()
+        inputs = choose_used(replace(inputs, site=site), site)
         forecast, (run, names) = inputs.forecast, self._build(inputs, site)
         weather = tuple(map(Path, names))
         if forecast.file is not None:

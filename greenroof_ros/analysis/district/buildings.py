@@ -26,8 +26,6 @@ from greenroof_ros.weather.table import read_table
 Values = NDArray[np.float64]
 
 ID, LINE, GROUP = "id", "line", "group"
-# A distribution is rejected if its limits leave less of it than this share.
-_MIN_SHARE = 1e-3
 
 
 def list_buildings(district: District, notes: list[str]) -> pl.DataFrame:
@@ -88,7 +86,7 @@ def make_buildings(
     for name, each in sorted(district.draw.items(), key=lambda item: item[1].times is not None):
         if name in listed.columns:
             raise district.refuse(f"draw.{name}", f"is also a column of {district.file}", name)
-        drawn = _draw(district, name, each, count, seed)
+        drawn = _draw(name, each, count, seed)
         if each.times is not None:
             factor = values.get(each.times, getattr(site, each.times, None))
             drawn = drawn * np.asarray(factor, float)  # NaN without a value
@@ -134,7 +132,7 @@ def refuse_building(
     return ConfigurationError(expected, file=file, line=line, key=key, value=error.value)
 
 
-def _draw(district: District, name: str, draw: Draw, count: int, seed: int) -> Values:
+def _draw(name: str, draw: Draw, count: int, seed: int) -> Values:
     """Return a key's value for each building, from the inverse of its distribution."""
     shares = np.random.default_rng([seed, zlib.crc32(name.encode())]).random(count)
     if draw.values:
@@ -148,10 +146,5 @@ def _draw(district: District, name: str, draw: Draw, count: int, seed: int) -> V
     below, up_to = (
         ndtr((math.log(end) - middle) / width) if end > 0 else 0.0 for end in (low, high)
     )
-    if up_to - below < _MIN_SHARE:
-        raise district.refuse(
-            f"draw.{name}", "must have low and high between which its distribution lies, but only "
-            f"a share of {max(0.0, up_to - below):.2g} of it does",
-        )
     drawn = np.exp(middle + width * ndtri(below + (up_to - below) * shares))
     return np.asarray(np.clip(drawn, low, high))  # rounding may exceed the limits

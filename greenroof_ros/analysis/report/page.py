@@ -141,15 +141,12 @@ def make_notes(report: Report) -> list[str]:
     ]
 
 
-def _list_assumptions(report: Report) -> Table:
-    """Return the assumptions that matter, with both ends."""
+def _list_assumptions(report: Report) -> list[str]:
+    """Return the assumptions that matter, with the range in which each probably lies."""
     sites = dict.fromkeys(run.site for run in report.sources.runs)
-    return Table(
-        "Assumptions: the range in which each probably lies",
-        ["assumption", "low", "used", "high", "source of the range"], [
-            [each.label, f"{each.low:g}", ", ".join(
-                f"{value:g}" for value in sorted({getattr(site, each.name) for site in sites})
-            ), f"{each.high:g}", each.source]
-            for each in dict.fromkeys(end.assumption for site in sites for end in list_ends(site))
-        ],
-    )
+    return [
+        f"{each.label}: "
+        + ", ".join(f"{value:g}" for value in sorted({getattr(site, each.name) for site in sites}))
+        + f"; probably {each.low:g} to {each.high:g} ({each.source})"
+        for each in dict.fromkeys(end.assumption for site in sites for end in list_ends(site))
+    ]
