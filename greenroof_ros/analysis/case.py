@@ -22,8 +22,7 @@ from greenroof_ros.controllers.registry import BUILT_IN, ControllerChoice, find_
 from greenroof_ros.forecast.choice import OPTIONS, ForecastChoice
 from greenroof_ros.physics.compiled import can_compile
 from greenroof_ros.physics.sensor_and_pump import SensorAndPump
-from greenroof_ros.results.table import EVENTS, format_events, summary_columns
-from greenroof_ros.results.trajectory import TRAJECTORY
+from greenroof_ros.results.table import summary_columns
 from greenroof_ros.simulation import bound
 from greenroof_ros.simulation.inputs import RunInputs
 from greenroof_ros.simulation.loop import simulate
@@ -136,8 +135,8 @@ class Outcome(NamedTuple):
 
     results: dict[str, Any]
     """columns of the table, which do not depend on the duration of the run"""
-    files: dict[str, bytes]
-    """contents of the files that are kept, by name"""
+    trajectory: bytes | None
+    """content of the file of the trajectory; None if it is not kept"""
 
 
 def run_case(directory: Path, case: Case, trajectory_every: float | None) -> Outcome:
@@ -155,10 +154,8 @@ def run_case(directory: Path, case: Case, trajectory_every: float | None) -> Out
     run = case.build(directory)
     every = 0 if trajectory_every is None else run.count_ticks_between(trajectory_every)
     results, trajectory = simulate(run, every=every)
-    files = {EVENTS: format_events(results["events"]).encode()}
-    if trajectory is not None:
-        files[TRAJECTORY] = trajectory.to_parquet()
-    return Outcome(summary_columns(results), files)
+    kept = None if trajectory is None else trajectory.to_parquet()
+    return Outcome(summary_columns(results), kept)
 
 
 def compute_bounds(directory: Path, case: Case, show: Sequence[str]) -> dict[str, float]:

@@ -78,9 +78,8 @@ def write_output(
     """
     drawn = directory / FIGURES
     drawn.mkdir(parents=True, exist_ok=True)
-    for file in drawn.iterdir():
-        if file.suffix in (".svg", ".png"):
-            file.unlink()
+    for file in (*drawn.glob("*.svg"), *drawn.glob("*.png")):
+        file.unlink()
     for figure in figures:
         figure.save(drawn)
     for name, text in {page: html, **(tables or {})}.items():

@@ -16,6 +16,7 @@ from greenroof_ros.base.files import add_path_to_errors, replace_text
 from greenroof_ros.base.processes import LockedError, lock_file
 from greenroof_ros.forecast.skill import REAL, read_skill
 from greenroof_ros.results.table import format_csv, parameter_columns
+from greenroof_ros.results.trajectory import TRAJECTORY
 from greenroof_ros.results.versions import versions
 from greenroof_ros.site.file import format_site
 
@@ -123,9 +124,9 @@ class StudyStore:
         """
         part, whole = self._runs / f"{case.identity}.part", self._runs / case.identity
         part.mkdir(exist_ok=True)
-        for name, content in outcome.files.items():
-            with add_path_to_errors(part / name):
-                (part / name).write_bytes(content)
+        if outcome.trajectory is not None:
+            with add_path_to_errors(part / TRAJECTORY):
+                (part / TRAJECTORY).write_bytes(outcome.trajectory)
         replace_text(part / _OUTCOME, json.dumps(outcome.results, indent=2))
         shutil.rmtree(whole, ignore_errors=True)  # after a power cut
         part.replace(whole)

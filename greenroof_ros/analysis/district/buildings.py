@@ -137,12 +137,10 @@ def _draw(name: str, draw: Draw, count: int, seed: int) -> Values:
     shares = np.random.default_rng([seed, zlib.crc32(name.encode())]).random(count)
     if draw.values:
         return np.asarray(np.array(draw.values)[(shares * len(draw.values)).astype(int)])
-    if draw.mean is None or draw.sd is None:
-        low, high = np.array([draw.low, draw.high], float)
-        return np.asarray(low + (high - low) * shares)
+    mean, sd = np.array([draw.mean, draw.sd], float).tolist()
     low, high = draw.low or 0.0, math.inf if draw.high is None else draw.high
-    variance = math.log1p((draw.sd / draw.mean) ** 2)
-    middle, width = math.log(draw.mean) - variance / 2, math.sqrt(variance)
+    variance = math.log1p((sd / mean) ** 2)
+    middle, width = math.log(mean) - variance / 2, math.sqrt(variance)
     below, up_to = (
         ndtr((math.log(end) - middle) / width) if end > 0 else 0.0 for end in (low, high)
     )

@@ -39,10 +39,8 @@ class Draw:
 
     mean: float | None = entry("mean of a log-normal distribution", 1e-12, 1e9, default=None)
     sd: float | None = entry("standard deviation of this distribution", 1e-12, 1e9, default=None)
-    low: float | None = entry(
-        "lower limit of this distribution or, alone, of a uniform one", -1e9, 1e9, default=None
-    )
-    high: float | None = entry("upper limit", -1e9, 1e9, default=None)
+    low: float | None = entry("lower limit of this distribution", 0.0, 1e9, default=None)
+    high: float | None = entry("upper limit", 0.0, 1e9, default=None)
     values: tuple[float, ...] = entry(
         "equally likely numbers to draw from, instead of a distribution", -1e9, 1e9, default=()
     )
@@ -170,10 +168,11 @@ def _find_mistakes(district: District) -> Iterator[tuple[str, str]]:
     for name, draw in district.draw.items():
         if name not in known:
             yield f"draw.{name}", f"cannot differ between buildings; {suggest_names(name, known)}"
-        ends = {"low", "high"}
         given = {each for each in vars(draw) if getattr(draw, each) not in (None, ())} - {"times"}
-        if given not in ({"values"}, ends) and given - ends != {"mean", "sd"}:
-            yield f"draw.{name}", "must have mean and sd, low and high, or values"
+        if given != {"values"} and given - {"low", "high"} != {"mean", "sd"}:
+            yield f"draw.{name}", "must have mean and sd, or values"
+        if draw.high is not None and draw.high <= (draw.low or 0.0):
+            yield f"draw.{name}", "must have high above low"
         other = district.draw.get(draw.times or "")
         if draw.times is not None and (draw.times not in known or (other and other.times)):
             yield f"draw.{name}.times", "must be a key of a building that is not itself multiplied"

@@ -9,7 +9,6 @@ import altair as alt
 import polars as pl
 
 from greenroof_ros.analysis.district.file import DRAIN, NONE, ORIFICE, PLAN
-from greenroof_ros.analysis.district.scene import PEAK_MIN
 from greenroof_ros.analysis.figures import Figure, Panel, distinguish_series
 from greenroof_ros.analysis.seasons import find_ranges
 from greenroof_ros.analysis.tables import COLUMNS, Column, Table, format_number, write_range
@@ -26,10 +25,6 @@ VOLUMES = {
 ROUTED = {
     "routed_overflow_m3": Column("sewer overflow, routed", "m³", format_number),
     "routed_peak_l_s": Column("peak in the sewer, routed", "L/s", format_number),
-}
-PEAKS = {
-    f"peak_{each}min_mm_h": Column(f"peak over {each} min, unrouted", "mm/h", format_number)
-    for each in PEAK_MIN
 }
 ENDS = ("_p5", "_p95")
 """endings of the columns with the 5th and the 95th percentile"""

@@ -43,7 +43,6 @@ class DistrictResult:
     Attributes:
         district: contents of the district file.
         site: the site that all buildings have in common.
-        window: the days of a season in words.
         all_rows: results of every flow in every draw and season; names include the units.
         buildings: a row for every building of the first draw: when it adopts, and the means of its
             results over the seasons.
@@ -54,7 +53,6 @@ class DistrictResult:
 
     district: keys.District
     site: Site
-    window: str
     all_rows: pl.DataFrame
     buildings: pl.DataFrame
     assumptions: pl.DataFrame
@@ -95,7 +93,8 @@ class DistrictResult:
         after, before = (shown.say(row, name) for row in (best, first))
         text += f" The sewer overflows with {after} a season instead of {before} ({how})."
         seasons, draws = self.all_rows["season"].unique(maintain_order=True), self.district.draws
-        when = f"{self.window}, {' to '.join(dict.fromkeys((seasons[0], seasons[-1])))}"
+        days = read_window(self.district.weather.season, self.site)
+        when = f"{days}, {' to '.join(dict.fromkeys((seasons[0], seasons[-1])))}"
         return (
             f"{text} Numbers are means of {number_of(len(seasons), 'season')} ({when}) with "
             f"{number_of(draws, 'draw')} of the buildings each; in brackets, the 5th to the 95th "
@@ -135,11 +134,10 @@ class DistrictResult:
                 f"off at once. Wet weather is the time of rain and the {self.site.wet_after:g} h "
                 "after it. What valves release in dry weather reaches the same sewer: it counts in "
                 "the discharge and in the retention.",
-                *(shown.tabulate(table, columns, caption) for columns, caption in (
-                    (shown.VOLUMES, "Volumes in a season"),
-                    (shown.ROUTED, "Routed by SWMM, first draw of the buildings"),
-                    (shown.PEAKS, "Highest flows of the sum of all buildings, unrouted"),
-                ) if {*columns} & {*table.columns}),
+                shown.tabulate(table, shown.VOLUMES, "Volumes in a season"),
+                *([
+                    shown.tabulate(table, shown.ROUTED, "Routed by SWMM, first draw")
+                ] if {*shown.ROUTED} <= {*table.columns} else []),
                 *([self.warnings] if self.warnings else []),
             ]),
             Section("Pictures", figures),
@@ -148,11 +146,9 @@ class DistrictResult:
                     self.assumptions, shown.label(self.best)
                 )]), [
                     "Unrouted flows add up in the minute in which they leave their buildings. In "
-                    "pipes they spread out and arrive one after another: real peaks are lower.",
+                    "pipes they spread out and arrive one after another; SWMM computes this.",
                     "Streets, yards, other buildings and storage in the sewer are left out; SWMM "
                     "adds the sewage of 125 people per ha.",
-                    "The shortest rain of the record decides the peaks: of hourly rain, those over "
-                    "5 and 15 minutes are those of an hour.",
                     f"The sewer takes {district.sewer_capacity:g} mm/h from the connected area.",
                     "The valve's plan receives " + (
                         "perfect forecasts" if district.forecast == PERFECT
@@ -200,7 +196,7 @@ def district(
     site = read_site(given.find_files("site", given.site)[0], {"tau": given.tau, "M": 1})
     if site.low_outlet_level is None and {*given.outlets} != {keys.NONE}:
         raise given.refuse("site", "needs a low outlet, as in site_valve.yaml, or outlets: [none]")
-    window, runs = _read_runs(given, site, notes)
+    runs = _read_runs(given, site, notes)
     listed, flows = list_buildings(given, notes), list_flows(given)
     drawn = [make_buildings(given, site, listed, draw) for draw in range(given.draws)]
     rows, made = list[dict[str, Any]](), list[pl.DataFrame]()
@@ -222,7 +218,7 @@ def district(
             rows += [{"draw": draw + 1, "season": season} | row for row in own]
     means = pl.concat(made).group_by("id").mean()
     result = DistrictResult(
-        given, site, window, pl.DataFrame(rows, infer_schema_length=None).fill_nan(None),
+        given, site, pl.DataFrame(rows, infer_schema_length=None).fill_nan(None),
         drawn[0].drop("line", "group").join(means, on="id", maintain_order="left").fill_nan(None),
         pl.DataFrame(), list(dict.fromkeys(notes)),
     )
@@ -230,13 +226,8 @@ def district(
     return replace(result, assumptions=tested)
 
 
-def _read_runs(
-    given: keys.District, site: Site, notes: list[str]
-) -> tuple[str, dict[str, Run]]:
-    """Return the simulated days in words, and the run of the site in each season.
-
-    Seasons that are incomplete are left out and noted.
-    """
+def _read_runs(given: keys.District, site: Site, notes: list[str]) -> dict[str, Run]:
+    """Return the run of the site in each season; incomplete ones are left out and noted."""
     weather = given.weather
     try:
         inputs = make_inputs(find_controller("onoff"), {
@@ -246,8 +237,7 @@ def _read_runs(
         records, _ = inputs.read_records(site)
         contents, *others = as_lines(summarize(records, site))
         notes += [f"{records.source}: {contents}", *others]
-        days = read_window(weather.season, site)
-        runs, gaps = find_seasons(inputs, site, records, days)
+        runs, gaps = find_seasons(inputs, site, records, read_window(weather.season, site))
         notes += [f"season {each} is left out: {why}" for each, why in gaps.items()]
     except ConfigurationError as error:
         if error.file is not None or not hasattr(weather, error.key or ""):
@@ -256,7 +246,7 @@ def _read_runs(
     notes += list_notes(runs, site)
     notes += [note for run in runs.values() for note in run.forecast.notes]
     choice = ForecastChoice(given.forecast, seed=given.seed)
-    return f"{days}", {name: replace(run, forecast_choice=choice) for name, run in runs.items()}
+    return {name: replace(run, forecast_choice=choice) for name, run in runs.items()}
 
 
 def _test(
@@ -273,7 +263,7 @@ def _test(
             words = {"assumption": f"{label}; used: {getattr(site, name):g}", "value": f"{value:g}"}
             change = {name: value}
             if name == "k_Rs":  # evapotranspiration depends on it
-                _, own = _read_runs(given, changed_site, [])
+                own = _read_runs(given, changed_site, [])
         for season, run in own.items() if not {*change} & {*buildings.columns} else ():
             run = replace(run, site=replace(run.site, **change))
             changed = [replace(each, **change) for each in sites]

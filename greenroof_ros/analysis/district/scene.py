@@ -23,8 +23,6 @@ from greenroof_ros.simulation.season import Case, simulate_season
 from greenroof_ros.site.file import check_site
 from greenroof_ros.site.site import WITHOUT_VALVE, Site
 
-PEAK_MIN = (5, 15, 60)
-"""times over which the flow is averaged for a peak (min)"""
 METRICS = (
     "discharge_m3", "wet_discharge_m3", "overflow_m3", "pumped_m3", "mains_m3", "stress_hours"
 )
@@ -37,12 +35,6 @@ class Flow(NamedTuple):
 
     outlet: str
     adoption: float
-
-    @property
-    def name(self) -> str:
-        """Name of the flow: ``as_is``, or ``drain_050`` for half of the buildings."""
-        return f"{self.outlet}_{100 * self.adoption:03g}" if self.adoption else "as_is"
-
 
 AS_IS = Flow(keys.NONE, 0.0)
 """no building has a green roof or a cistern"""
@@ -147,10 +139,6 @@ class Scene:
         beyond = volumes - self.district.sewer_capacity / 1000 / HOUR_S * area * self.durations
         over = beyond > _NOTHING
         return row | {
-            f"peak_{minutes}min_mm_h":
-            HOUR_S * (1000 * find_peak(volumes, self.durations, minutes)) / area
-            for minutes in PEAK_MIN
-        } | {
             "sewer_overflow_m3": beyond[over].sum(),
             "dry_sewer_overflow_m3": beyond[over & ~self.wet].sum(),
         } | {
@@ -182,21 +170,3 @@ def _equip(
         return site, find_controller("onoff").complete_parameters(site, given)
     except ConfigurationError as error:
         raise refuse_building(district, building, error) from None
-
-
-def find_peak(volumes: Values, durations: Values, minutes: float) -> float:
-    """Return the highest mean of a flow over a number of minutes (m3/s).
-
-    The window may begin at any time, as for the peaks in :mod:`.results.sums`.
-
-    Args:
-        volumes: volume in each interval (m3), shape (intervals,).
-        durations: duration of each interval (s), shape (intervals,).
-        minutes: width of the window (min).
-    """
-    window, edges = 60 * minutes, np.append(0.0, np.cumsum(durations))
-    total = np.append(0.0, np.cumsum(volumes))
-    # The mean of constant pieces is largest where the window begins or ends with one of them.
-    starts = np.concatenate((edges - window, edges))
-    sums = np.interp(starts + window, edges, total) - np.interp(starts, edges, total)
-    return float(sums.max()) / window

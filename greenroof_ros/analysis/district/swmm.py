@@ -81,11 +81,11 @@ def route_scene(directory: Path, scene: Scene, rows: Sequence[dict[str, Any]]) -
     for flow, row in zip(scene.flows, rows, strict=True):
         if flow.adoption not in (0, scene.flows[-1].adoption):
             continue
-        series = scene.group_discharges(flow)
-        files = [f"{flow.name}_{number}.dat" for number in range(1, len(series) + 1)]
+        series, name = scene.group_discharges(flow), f"{flow.outlet}_{100 * flow.adoption:03g}"
+        files = [f"{name}_{number}.dat" for number in range(1, len(series) + 1)]
         for file, volumes in zip(files, series, strict=True):
             (directory / file).write_text(format_series(scene.start, scene.durations, volumes))
-        model = directory / f"{flow.name}.inp"
+        model = directory / f"{name}.inp"
         model.write_text(format_network(
             start=scene.start, end=end, series=files, area=scene.areas.sum(),
             capacity=scene.district.sewer_capacity,

@@ -15,12 +15,10 @@ from greenroof_ros.analysis.tables import BOUNDS, COLUMNS
 
 # With more cases than colours, only the best ones are drawn over time.
 _MAX_CASES = len(figures.COLOURS)
-# Places whose runs are drawn over time.
-_MAX_PLACES = 2
 
 
 def make_figures(report: Report) -> Iterator[figures.Figure]:
-    """Yield the figures, for places with several runs or trajectories.
+    """Yield the figures: of the places with several runs, and of the first one over time.
 
     Raises:
         ConfigurationError: if the trajectory of a run cannot be read.
@@ -31,15 +29,14 @@ def make_figures(report: Report) -> Iterator[figures.Figure]:
             "lines extend from the lowest to the highest run", tuple(compared),
             min(len(compared), 2),
         )
-    for number, place in enumerate(report.places[:_MAX_PLACES], start=1):
-        best = place.head(_MAX_CASES).filter(runs=1)
-        runs = {
-            case: (run.site, trajectory) for case, first in best.select("case", "first").rows()
-            if (trajectory := (run := report.sources.runs[first]).trajectory()) is not None
-        }
-        if runs:
-            title = f"Rain, levels and flows, {place['place'][0]}".removesuffix(", ")
-            yield figures.Figure(f"time-{number}", title, "", tuple(draw_over_time(runs)), 2)
+    best = report.places[0].head(_MAX_CASES).filter(runs=1)
+    runs = {
+        case: (run.site, trajectory) for case, first in best.select("case", "first").rows()
+        if (trajectory := (run := report.sources.runs[first]).trajectory()) is not None
+    }
+    if runs:
+        title = f"Rain, levels and flows, {best['place'][0]}".removesuffix(", ")
+        yield figures.Figure("time", title, "", tuple(draw_over_time(runs)), 2)
 
 
 def _compare(place: polars.DataFrame, report: Report) -> figures.Panel:

@@ -149,7 +149,7 @@ def test_the_command(tmp_path: Path) -> None:
     assert "For onoff fraction 2: total deviation" in done.stdout
     assert "failed or did not finish: 1" in done.stdout
     assert "<td>no solution</td>" in (report / "report.html").read_text()
-    assert {path.name for path in (report / "figures").iterdir()} == {"time-1.svg", "time-1.png"}
-    picture = (report / "figures" / "time-1.png").read_bytes()
+    assert {path.name for path in (report / "figures").iterdir()} == {"time.svg", "time.png"}
+    picture = (report / "figures" / "time.png").read_bytes()
     width, height = struct.unpack(">II", picture[16:24])
     assert 800 < width <= 2800 and height > 300

@@ -152,7 +152,7 @@ def test_a_full_disk_is_named(tmp_path: Path, what: str) -> None:
     full.parent.mkdir(exist_ok=True)
     full.symlink_to("/dev/full")
     write = {
-        "outcome": lambda: store.write_outcome(store.cases[0], Outcome({}, {})),
+        "outcome": lambda: store.write_outcome(store.cases[0], Outcome({}, None)),
         "bounds": lambda: store.write_bound("a bound", {}),
         "results": store.write_table,
     }[what]
