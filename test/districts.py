@@ -13,13 +13,12 @@ site: site_valve.yaml
 buildings: 8
 draw:
   catchment_area: {{mean: 200, sd: 120, low: 60, high: 1000}}
-  cistern_volume: {{low: 1.0, high: 6.0}}
+  cistern_volume: {{mean: 3, sd: 2, low: 1.0, high: 6.0}}
   substrate_depth: {{values: [0.08, 0.108]}}
-weather: {{file: {WEATHER}, start: 2021-07-07T00:00, hours: 72}}
+weather: {{file: {WEATHER}, season: 07-07/07-09}}
 draws: 1
 forecast: perfect
 adoption: [0.25, 0.5, 1.0]
-valve_share: 0.5
 sewer_capacity: 2.0
 """
 

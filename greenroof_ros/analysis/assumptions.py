@@ -55,6 +55,14 @@ OF_WEATHER = {"k_Rs", *CLIMATE}
 """names of those for which the weather must be read again"""
 
 
+def list_assumptions(site: Site) -> list[Assumption]:
+    """Return the assumptions about a site that affect it."""
+    return [
+        each for each in ASSUMPTIONS if each.name not in CLIMATE
+        and (each.name != "percolation_exponent" or site.field_capacity is not None)
+    ]
+
+
 def list_ends(
     site: Site, inputs: RunInputs
 ) -> Iterator[tuple[Assumption, float, float, Site, RunInputs]]:
@@ -63,12 +71,11 @@ def list_ends(
     Each comes with the value that is used, the value of the end, and a site and inputs that have
     the latter.
     """
-    for each in ASSUMPTIONS:
-        if each.name != "percolation_exponent" or site.field_capacity is not None:
-            for value in (each.low, each.high):
-                changed: dict[str, Any] = {each.name: value}
-                if each.name in CLIMATE:
-                    used, other = getattr(inputs, each.name), replace(inputs, **changed)
-                    yield each, used, value, site, other
-                else:
-                    yield each, getattr(site, each.name), value, replace(site, **changed), inputs
+    for each in list_assumptions(site):
+        for value in (each.low, each.high):
+            changed: dict[str, Any] = {each.name: value}
+            yield each, getattr(site, each.name), value, replace(site, **changed), inputs
+    for each in ASSUMPTIONS[-len(CLIMATE):]:
+        for value in (each.low, each.high):
+            changed = {each.name: value}
+            yield each, getattr(inputs, each.name), value, site, replace(inputs, **changed)

@@ -6,15 +6,15 @@ import functools
 import hashlib
 import json
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from datetime import datetime
 from importlib.metadata import packages_distributions
 from modulefinder import ModuleFinder
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from greenroof_ros.analysis.tables import BOUNDS, MAINS, TOTAL, WET
 from greenroof_ros.base.parameter import parameters_of
 from greenroof_ros.controllers.onoff import OnOff
 from greenroof_ros.controllers.outlet import CLOSED, DRAIN, OPEN, PLAN, PRICE
@@ -22,8 +22,7 @@ from greenroof_ros.controllers.registry import BUILT_IN, ControllerChoice, find_
 from greenroof_ros.forecast.choice import OPTIONS, ForecastChoice
 from greenroof_ros.physics.compiled import can_compile
 from greenroof_ros.physics.sensor_and_pump import SensorAndPump
-from greenroof_ros.results.table import EVENTS, format_events, format_exactly, summary_columns
-from greenroof_ros.results.trajectory import TRAJECTORY
+from greenroof_ros.results.table import summary_columns
 from greenroof_ros.simulation import bound
 from greenroof_ros.simulation.inputs import RunInputs
 from greenroof_ros.simulation.loop import simulate
@@ -32,7 +31,6 @@ from greenroof_ros.site.file import format_site
 from greenroof_ros.site.site import Site
 from greenroof_ros.weather.read import read_weather
 from greenroof_ros.weather.records import name_files
-from greenroof_ros.weather.series import REFUSE
 
 # Cases with the same weather follow each other, so a process reads its files once.
 _read_weather = functools.lru_cache(2)(read_weather)
@@ -52,28 +50,17 @@ class Case:
         site_file: name of the file from which the site was read.
         files: digests of the weather files and any forecast file, by names that are unique in the
             study.
-        ticks: number of ticks.
-        bound_block: length of the time blocks that have one variable each when the minimum possible
-            deviation is computed (s); 0 to compute only the minimum discharge of a valve, None to
-            compute no bound.
     """
 
     inputs: RunInputs
     site_file: str
     files: Mapping[str, str]
-    ticks: int
-    bound_block: float | None = None
 
     @property
     def site(self) -> Site:
         """The site."""
         assert isinstance(self.inputs.site, Site)
         return self.inputs.site
-
-    @property
-    def start(self) -> datetime:
-        """Time of tick 0."""
-        return datetime.fromisoformat(self.inputs.start)
 
     @property
     def hours(self) -> float:
@@ -98,16 +85,6 @@ class Case:
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:12]
 
     @functools.cached_property
-    def bounds(self) -> dict[str, Any]:
-        """The functions that compute the bounds of the run, by the identity of the bound."""
-        identity, functions = self.plain.identity, dict[str, Any]()
-        if self.bound_block:
-            functions[f"{identity}-{format_exactly(self.bound_block)}"] = bound_deviation
-        if self.bound_block is not None and "outlet" in self.inputs.parameters:
-            functions[identity] = bound_discharge
-        return functions
-
-    @functools.cached_property
     def plain(self) -> Case:
         """The same case with on/off control, no forecast, and an ideal sensor and pump."""
         files = {path.name: self.files[path.name] for path in self.inputs.weather}
@@ -121,12 +98,12 @@ class Case:
         inputs = self.inputs
         return {
             "weather": name_files(inputs.weather), "start": inputs.start, "hours": self.hours,
-            "evapotranspiration": inputs.evapotranspiration,
-            **({"gaps": inputs.gaps} if inputs.gaps != REFUSE else {}),
+            "evapotranspiration": inputs.evapotranspiration, "gaps": inputs.gaps,
             "forecast": str(inputs.forecast),
             **{f"forecast_{name}": inputs.forecast.options().get(name) for name in OPTIONS},
             "controller": inputs.controller.name, "initial": inputs.initial,
             "cistern_m3": inputs.cistern, "roof_m3": inputs.roof,
+            **inputs.sensor_and_pump.values(),
         }
 
     def build(self, directory: Path) -> Run:
@@ -141,23 +118,15 @@ class Case:
         return replace(inputs, weather=weather, forecast=forecast).build()
 
 
-def find_unused(parameters: Mapping[str, Any]) -> tuple[str, ...]:
-    """Return the parameters of the valve that its policy does not use."""
-    return _UNUSED.get(str(parameters.get("outlet")), ())
-
-
-def drop_unused(inputs: RunInputs, parameters: Mapping[str, Any]) -> RunInputs:
-    """Leave out the parameters of the valve, and the forecasts, that a run does not use.
-
-    Args:
-        inputs: inputs of the run.
-        parameters: all parameters of its controller.
-    """
-    unused = find_unused(parameters)
-    foresees = inputs.controller.kind is not OnOff or parameters.get("outlet") == PLAN
+def choose_used(inputs: RunInputs, site: Site) -> RunInputs:
+    """Complete the parameters, without those and without the forecasts that a run does not use."""
+    parameters = inputs.controller.complete_parameters(site, inputs.parameters)
+    outlet = parameters.get("outlet")
+    foresees = inputs.controller.kind is not OnOff or outlet == PLAN
+    unused = _UNUSED.get(str(outlet), ())
     return replace(
         inputs, forecast=inputs.forecast if foresees else ForecastChoice(),
-        parameters={name: value for name, value in inputs.parameters.items() if name not in unused},
+        parameters={name: value for name, value in parameters.items() if name not in unused},
     )
 
 
@@ -166,8 +135,8 @@ class Outcome(NamedTuple):
 
     results: dict[str, Any]
     """columns of the table, which do not depend on the duration of the run"""
-    files: dict[str, bytes]
-    """contents of the files that are kept, by name"""
+    trajectory: bytes | None
+    """content of the file of the trajectory; None if it is not kept"""
 
 
 def run_case(directory: Path, case: Case, trajectory_every: float | None) -> Outcome:
@@ -185,32 +154,34 @@ def run_case(directory: Path, case: Case, trajectory_every: float | None) -> Out
     run = case.build(directory)
     every = 0 if trajectory_every is None else run.count_ticks_between(trajectory_every)
     results, trajectory = simulate(run, every=every)
-    files = {EVENTS: format_events(results["events"]).encode()}
-    if trajectory is not None:
-        files[TRAJECTORY] = trajectory.to_parquet()
-    return Outcome(summary_columns(results), files)
+    kept = None if trajectory is None else trajectory.to_parquet()
+    return Outcome(summary_columns(results), kept)
 
 
-def bound_deviation(directory: Path, case: Case) -> dict[str, float]:
-    """Return the column of the minimum total deviation of controllers with commands up to 1.
+def compute_bounds(directory: Path, case: Case, show: Sequence[str]) -> dict[str, float]:
+    """Return the columns of the minimum possible values of a case's shown metrics.
 
-    See :func:`greenroof_ros.simulation.bound.clairvoyant_bound`.
+    They are the same for all controllers. The deviation is that of commands up to 1, see
+    :func:`greenroof_ros.simulation.bound.clairvoyant_bound`. The wet-weather discharge of a valve
+    is that with on/off control's irrigation, at the point of the frontier at which mains water
+    costs as much as ``plan`` assumes; the mains water is left out if the site has no mains top-up.
+
+    Args:
+        directory: directory with the case's input files.
+        case: the case.
+        show: names of metrics.
     """
-    return {"bound_m3": bound.clairvoyant_bound(case.build(directory), case.bound_block or 0.0)}
-
-
-def bound_discharge(directory: Path, case: Case) -> dict[str, float]:
-    """Return the columns of the minimum wet-weather discharge given on/off control's irrigation.
-
-    The columns describe the point of the frontier at which mains water costs as much as ``plan``
-    assumes. The mains water is left out if the site has no mains top-up.
-    """
-    run = case.plain.build(directory)
-    _, trajectory = simulate(run, every=1)
-    assert trajectory is not None
-    (point,) = bound.bound_discharge(run, trajectory, [PRICE])
-    bounds = {"bound_wet_discharge_m3": point.wet_discharge_m3}
-    return bounds if run.site.mains_level is None else bounds | {"bound_mains_m3": point.mains_m3}
+    run, bounds = case.plain.build(directory), dict[str, float]()
+    if TOTAL in show:
+        bounds[BOUNDS[TOTAL]] = bound.clairvoyant_bound(run, bound.BLOCK_S)
+    if WET in show and run.site.low_outlet_valve:
+        _, trajectory = simulate(run, every=1)
+        assert trajectory is not None
+        (point,) = bound.bound_discharge(run, trajectory, [PRICE])
+        bounds[BOUNDS[WET]] = point.wet_discharge_m3
+        if run.site.mains_level is not None:
+            bounds[BOUNDS[MAINS]] = point.mains_m3
+    return bounds
 
 
 @functools.cache

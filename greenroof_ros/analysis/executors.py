@@ -58,18 +58,16 @@ def run_tasks(
     """
     pending = dict[Future[Any], Task]()
     with ExitStack() as stack:
+        threads: Any = executor
+        processes, results = threads, None
         if executor is None:
             threads = stack.enter_context(futures.ThreadPoolExecutor(jobs or count_cores()))
             processes, results = stack.enter_context(_open_processes(jobs or count_cores()))
         try:
             with _hold_interrupts():
                 for task in tasks:
-                    if executor is not None or task.in_threads:
-                        chosen = executor or threads
-                        future = chosen.submit(task.function, directory, *task.arguments)
-                    else:
-                        future = processes.submit(_call_to_file, directory, results, *task[:2])
-                    pending[future] = task
+                    pool, place = (threads, None) if task.in_threads else (processes, results)
+                    pending[pool.submit(_call, directory, place, *task[:2])] = task
             count, lost = len(pending), None
             while pending:
                 progress(1 - len(pending) / count)
@@ -96,16 +94,19 @@ def run_tasks(
                     future.cancel()
 
 
-def _call_to_file(
-    inputs: Path, results: Path, function: Callable[..., Any], arguments: tuple[Any, ...]
-) -> Path:
-    """Call a function in a process, and return the path of a file with its result.
+def _call(
+    inputs: Path, results: Path | None, function: Callable[..., Any], arguments: tuple[Any, ...]
+) -> Any:
+    """Call a function, and return its result or, from a process, the path of a file with it.
 
-    A large result is not sent to the executor itself, because the executor would wait forever for
+    A large result is not sent to the pool of processes itself, because it would wait forever for
     the rest if the process were killed while sending the result.
     """
-    content, path = pickle.dumps(function(inputs, *arguments)), results / uuid4().hex
-    path.write_bytes(content)
+    result = function(inputs, *arguments)
+    if results is None:
+        return result
+    path = results / uuid4().hex
+    path.write_bytes(pickle.dumps(result))
     return path
 
 

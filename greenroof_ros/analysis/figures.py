@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import base64
 import math
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import altair as alt
 import vl_convert
@@ -23,23 +24,18 @@ CONFIG: dict[str, Any] = {
     "font": "Arial, Helvetica, sans-serif",
     "background": "white",
     "view": {"stroke": "#cccccc"},
-    "axis": {
-        "labelFontSize": 11, "titleFontSize": 12, "titleFontWeight": "normal",
-        "labelColor": "#222222", "titleColor": "#222222", "gridColor": "#e6e6e6",
-        # Numbers closer than this (px) read as one; the last one is moved inwards.
-        "labelSeparation": 6,
-    },
+    # Numbers of an axis closer than labelSeparation (px) read as one.
+    "axis": {"labelFontSize": 11, "titleFontWeight": "normal", "labelSeparation": 6},
     "legend": {
-        "orient": "bottom", "columns": 1, "labelFontSize": 11,
-        "titleFontSize": 11, "titleFontWeight": "normal", "titleOrient": "left",
-        "labelColor": "#222222", "titleColor": "#222222", "symbolStrokeWidth": 2,
+        "orient": "bottom", "columns": 1, "labelFontSize": 11, "symbolStrokeWidth": 2,
         "labelLimit": 340, "symbolOpacity": 1,
     },
-    "title": {"anchor": "start", "fontSize": 13, "fontWeight": "bold", "color": "#222222"},
+    "title": {"anchor": "start"},
 }
 
 Rows = list[dict[str, Any]]
 Chart = alt.Chart | alt.LayerChart | alt.FacetChart
+_Whole = TypeVar("_Whole", bound=Chart | alt.ConcatChart)
 
 
 class Panel(NamedTuple):
@@ -79,39 +75,38 @@ class Figure:
 
     def chart(self) -> alt.ConcatChart:
         """Return the figure with its data as one chart."""
-        whole = self._concatenate()
-        whole.datasets = self.data
-        return whole
-
-    def _concatenate(self) -> alt.ConcatChart:
-        whole = alt.ConcatChart(
+        whole: alt.ConcatChart = alt.ConcatChart(
             concat=[panel.sized() for panel in self.panels], columns=self.columns, title=self.title
         ).resolve_scale(color="independent", shape="independent", strokeDash="independent")
-        configured: alt.ConcatChart = whole.configure(**CONFIG)
-        return configured
+        return self._complete(whole)
+
+    def _complete(self, chart: _Whole) -> _Whole:
+        """Return a chart with the data and the look of the figure."""
+        complete: _Whole = chart.configure(**CONFIG)
+        complete.datasets = self.data
+        return complete
 
     def pictures(self) -> list[str]:
-        """Return each panel as SVG, without scripts."""
-        pictures = []
-        for panel in self.panels:
-            specification = panel.sized().configure(**CONFIG).to_dict()
-            specification.setdefault("datasets", {}).update(self.data)
-            pictures.append(vl_convert.vegalite_to_svg(specification, VEGA_LITE))
-        return pictures
+        """Return the address of each panel as a picture, which contains the picture itself."""
+        vectors = (_draw(self._complete(panel.sized())) for panel in self.panels)
+        return [
+            f"data:image/svg+xml;base64,{base64.b64encode(each.encode()).decode()}"
+            for each in vectors
+        ]
 
     def save(self, directory: Path) -> None:
         """Write the figure as SVG and as PNG."""
-        specification = self._concatenate().to_dict()
-        # Added here, as altair would check every row. The PNG is made from the SVG, which is laid
-        # out once.
-        specification.setdefault("datasets", {}).update(self.data)
-        vectors = vl_convert.vegalite_to_svg(specification, VEGA_LITE)
-        file = directory / f"{self.name}.svg"
-        with add_path_to_errors(file):
-            file.write_text(vectors, encoding="utf-8")
-        file = directory / f"{self.name}.png"
-        with add_path_to_errors(file):
-            file.write_bytes(vl_convert.svg_to_png(vectors, scale=2))
+        vectors = _draw(self.chart())  # laid out once for both
+        pixels = vl_convert.svg_to_png(vectors, scale=2)
+        for ending, content in ((".svg", vectors.encode()), (".png", pixels)):
+            file = directory / f"{self.name}{ending}"
+            with add_path_to_errors(file):
+                file.write_bytes(content)
+
+
+def _draw(chart: Any) -> str:
+    """Return a chart as SVG, without scripts."""
+    return vl_convert.vegalite_to_svg(chart.to_dict(validate=False), VEGA_LITE)
 
 
 def distinguish_series(name: str, values: list[str], *, points: bool = False) -> dict[str, Any]:

@@ -3,44 +3,42 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import replace
-from datetime import datetime
+from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from greenroof_ros.analysis.case import Case
-from greenroof_ros.analysis.names import leap_hours
 from greenroof_ros.analysis.study import Files
+from greenroof_ros.analysis.tables import check_metrics, choose_metrics
 from greenroof_ros.base.errors import ConfigurationError, suggest_names
-from greenroof_ros.base.files import YamlMapping, find_matches, read_yaml, shared_directory
+from greenroof_ros.base.files import YamlMapping, find_named, read_yaml
 from greenroof_ros.base.ranges import Range
 from greenroof_ros.controllers.registry import ControllerChoice, find_controller
-from greenroof_ros.forecast.choice import MODELS, PERFECT
-from greenroof_ros.results.metrics import METRICS
-from greenroof_ros.simulation.bound import BLOCK_S
+from greenroof_ros.forecast.choice import MODELS
 from greenroof_ros.simulation.inputs import make_inputs
 from greenroof_ros.site.file import read_site
 from greenroof_ros.site.site import Site
 
 _NEEDED = "site", "weather", "initial", "controllers"
-_USUAL: dict[str, Any] = {
-    "forecast": PERFECT, "sensor_and_pump": YamlMapping(), "show": [],
-}
+_KEYS = *_NEEDED, "forecast", "show"
 # Keys whose lists do not multiply the number of runs, because they belong together or name blocks.
 _WHOLE = "file", "forecast"
+# Any year followed by another that is not a leap year, as this one.
+_USUAL_YEAR = 2001
 
 
 class Grid(NamedTuple):
     """The content of a grid file."""
 
     cases: list[Case]
-    """different runs, in the order of the file: sites, windows, initial states, sensor_and_pump,
-    controllers with their parameters, forecasts"""
+    """different runs, in the order of the file: sites, windows, initial states, controllers with
+    their parameters, forecasts"""
     files: Files
     show: list[str]
-    """metrics that the study asks for"""
+    """metrics that the study is about"""
 
 
 def read_grid(path: Path) -> Grid:
@@ -54,9 +52,19 @@ def read_grid(path: Path) -> Grid:
             the first run.
     """
     reader = _Reader(path)
+    show = reader.list_shown()
     cases = [*{case.identity: case for case in reader.cases()}.values()]
     reader.files.contents["grid.yaml"] = path.read_bytes()
-    return Grid(cases, reader.files, reader.shown())
+    return Grid(cases, reader.files, show or choose_metrics(case.site for case in cases))
+
+
+def _end_on_same_day(start: str, hours: float) -> float:
+    """Return the length (h) of a season that ends on the same day, leap year or not."""
+    begins = datetime.fromisoformat(start)
+    usual = begins.replace(year=_USUAL_YEAR)
+    end = usual + timedelta(hours=hours)
+    end = end.replace(year=end.year - usual.year + begins.year)
+    return (end - begins) / timedelta(hours=1)
 
 
 class _Reader:
@@ -67,105 +75,90 @@ class _Reader:
     """
 
     def __init__(self, path: Path) -> None:
-        config = shared_directory() / "config"
-        # This order makes a copy of one of the package's grids run unchanged.
-        self._places = [path.parent, config, config / "weather"]
-        self._path, content, self.files = path, read_yaml(path), Files()
-        known = *_NEEDED, *_USUAL, "bound_block"
-        for key in content:
-            if key not in known:
-                hint = suggest_names(key, known)
-                raise self._refuse(content, key, f"is not a valid key; {hint}")
+        self._path, self._content, self.files = path, read_yaml(path), Files()
+        for key in self._content:
+            if key not in _KEYS:
+                hint = suggest_names(key, _KEYS)
+                raise self._refuse(self._content, key, f"is not a valid key; {hint}")
         for key in _NEEDED:
-            if content.get(key) in (None, [], {}, ""):
+            if self._content.get(key) in (None, [], {}, ""):
                 raise ConfigurationError("is missing or empty", file=path, key=key)
-        self._content = YamlMapping(
-            {**_USUAL, **content}, {**dict.fromkeys(_USUAL, 1), **content.lines}
-        )
 
-    def shown(self) -> list[str]:
-        """Return the metrics under ``show:``."""
-        known, names = [metric.name for metric in METRICS], self._list(self._content, "show")
-        for name in names:
-            if name not in known:
-                hint = suggest_names(str(name), known)
-                raise self._refuse(self._content, "show", f"{name} is no metric; {hint}")
+    def list_shown(self) -> list[str]:
+        """Return the metrics under ``show:``, if any."""
+        names = self._list(self._content, "show") if "show" in self._content else []
+        with self._at(self._content.lines, "show"):
+            check_metrics(names)
         return names
 
     def cases(self) -> Iterator[Case]:
-        sensors, settings = [*self._expand("sensor_and_pump")], [*self._settings()]
+        windows = [*self._windows()]
+        usual = [*self._forecasts(self._content)] or [YamlMapping()]
+        settings = [*self._settings(usual)]
         for site, name in self._sites():
-            states, block = [*self._states(site)], site.tau * max(1, round(BLOCK_S / site.tau))
-            if "bound_block" in self._content:
-                block = self._number(self._content, "bound_block")
-            for window, usual in self._windows():
-                for state, errors, setting in itertools.product(states, sensors, settings):
-                    controller, parameters, forecasts = setting
-                    for forecast in forecasts or usual:
-                        parts = window, forecast, state, errors, parameters
-                        given = {key: value for part in parts for key, value in part.items()}
-                        lines = {**self._content.lines}
-                        lines |= {key: line for each in parts for key, line in each.lines.items()}
-                        with self._at(lines, "start"):
-                            inputs = replace(make_inputs(controller, given), site=site)
-                            yield self.files.make_case(inputs, name, block)
+            for window, state, (controller, parameters, forecast) in itertools.product(
+                windows, self._states(site), settings
+            ):
+                parts = window, forecast, state, parameters
+                given = {key: value for part in parts for key, value in part.items()}
+                lines = {**self._content.lines}
+                lines |= {key: line for part in parts for key, line in part.lines.items()}
+                with self._at(lines, "start"):
+                    inputs = replace(make_inputs(controller, given), site=site)
+                    yield self.files.make_case(inputs, name)
 
     def _sites(self) -> Iterator[tuple[Site, str]]:
         """Yield every site, with the name of its file."""
-        for block in self._expand("site", "file"):
+        for block in self._expand(self._content, "site", "file"):
             own = {name: value for name, value in block.items() if name != "file"}
-            for file in self._find(block, "file"):
-                with self._at(block.lines, "file", f"{file.name} with these values: " * bool(own)):
+            for file in self._find(block, "file", block["file"]):
+                with self._at(block.lines, "file"):
                     yield read_site(file, own), file.name
 
-    def _windows(self) -> Iterator[tuple[YamlMapping, list[YamlMapping]]]:
-        """Yield the inputs and the forecasts of every window."""
-        for block in self._expand("weather", "file"):
-            year, forecasts = str(block.pop("year", "{year}")), self._content
-            if "forecast" in block:
-                forecasts = block
-            given = {key: block[key] for key in block if key not in _WHOLE}
-            given["start"] = str(block.get("start", "")).replace("{year}", year)
-            given["weather"] = [
-                file for name in self._list(block, "file")
-                for file in self._find(block, "file", str(name).replace("{year}", year))
-            ]
-            with suppress(ValueError, KeyError, TypeError):
+    def _windows(self) -> Iterator[YamlMapping]:
+        """Yield the inputs of every window."""
+        for block in self._expand(self._content, "weather", "file"):
+            year = str(block.pop("year", "{year}"))
+            names = self._list(block, "file")
+            block["weather"] = [file for name in names for file in self._find(block, "file", name)]
+            del block["file"]
+            block["start"] = str(block.get("start", "")).replace("{year}", year)
+            with suppress(ValueError, KeyError, TypeError):  # what is wrong is found later
                 if year.isdecimal():
-                    start = datetime.fromisoformat(given["start"])
-                    given["hours"] += leap_hours(start, given["hours"])
-            lines = {**block.lines, "weather": block.lines["file"]}
-            lines.setdefault("start", lines["file"])
-            yield YamlMapping(given, lines), [*self._forecasts(forecasts)]
+                    block["hours"] = _end_on_same_day(block["start"], block["hours"])
+            line = block.lines["file"]
+            yield YamlMapping(block, {"start": line, **block.lines, "weather": line})
 
     def _forecasts(self, mapping: YamlMapping) -> Iterator[YamlMapping]:
         """Yield every forecast under ``forecast:`` with every combination of its options."""
-        for block in self._expand("forecast", "model", mapping):
+        for block in self._expand(mapping, "forecast", "model") if "forecast" in mapping else ():
             model = str(block["model"])
-            is_directory = any((place / model).is_dir() for place in self._places)
-            if model not in MODELS and (Path(model).suffix or is_directory):
-                block["model"] = str(self._find(block, "model")[0])
-            names = {key: f"forecast_{key}" if key != "model" else "forecast" for key in block}
-            yield YamlMapping(
-                {name: block[key] for key, name in names.items()},
-                {name: block.lines[key] for key, name in names.items()},
+            if model not in MODELS:
+                block["model"] = str(self._find(block, "model", model)[0])
+            names = {key: f"forecast_{key}".removesuffix("_model") for key in block}
+            given, lines = (
+                {names[key]: each[key] for key in block} for each in (block, block.lines)
             )
+            yield YamlMapping(given, lines)
 
     def _states(self, site: Site) -> Iterator[YamlMapping]:
         """Yield the inputs of every initial state, from its name, volumes (m3) or levels (m)."""
-        for block in self._expand("initial", "name"):
+        for block in self._expand(self._content, "initial", "name"):
             lines = block.lines | {"initial": block.lines["name"]}
             given = {"initial": block.pop("name"), **block}
             for key, area in (("cistern", site.a1), ("roof", site.a2)):
-                if (level := f"{key}_level") in block:
-                    given[key], lines[key] = area * self._number(block, level), lines[level]
-                    del given[level]
+                if (name := f"{key}_level") in block:
+                    line = lines[key] = lines[name]
+                    level = Range().read(given.pop(name), file=self._path, line=line, key=name)
+                    given[key] = area * level
             yield YamlMapping(given, lines)
 
-    def _settings(self) -> Iterator[tuple[ControllerChoice, YamlMapping, list[YamlMapping]]]:
-        """Yield every controller, every combination of its parameters, and its own forecasts.
+    def _settings(
+        self, usual: Sequence[YamlMapping]
+    ) -> Iterator[tuple[ControllerChoice, YamlMapping, YamlMapping]]:
+        """Yield every controller, every combination of its parameters, and every forecast.
 
-        Without forecasts of its own, it receives those of the grid.
+        Without forecasts of its own, a controller receives the usual ones.
         """
         section = self._content["controllers"]
         if not isinstance(section, YamlMapping):
@@ -175,43 +168,27 @@ class _Reader:
         for reference in section:
             with self._at(section.lines, reference):
                 controller = find_controller(reference)
-            blocks = [YamlMapping()]
-            if section[reference] is not None:
-                blocks = [*self._expand(reference, mapping=section)]
-            for block in blocks:
-                forecasts = [*self._forecasts(block)] if "forecast" in block else []
+            for block in self._expand(section, reference):
+                forecasts = [*self._forecasts(block)] or usual
                 block.pop("forecast", None)
-                yield controller, block, forecasts
+                yield from ((controller, block, forecast) for forecast in forecasts)
 
-    def _find(self, mapping: YamlMapping, key: str, name: str | None = None) -> list[Path]:
-        """Return the files that match a name or pattern, from the first directory with such files.
+    def _find(self, mapping: YamlMapping, key: str, name: str) -> list[Path]:
+        """Return the files that match a name or pattern in a mapping."""
+        with self._at(mapping.lines, key):
+            return find_named(name, self._path, key)
 
-        Args:
-            mapping: a mapping in the grid.
-            key: key of the name.
-            name: name that replaces the value of the key.
-
-        Raises:
-            ConfigurationError: if no directory contains a matching file.
-        """
-        name = str(mapping[key]) if name is None else name
-        if found := find_matches(name, self._places):
-            return found
-        places = ", ".join(str(place.resolve()) for place in self._places)
-        raise self._refuse(mapping, key, f"there is no {name} in {places}")
-
-    def _expand(
-        self, key: str, first: str = "", mapping: YamlMapping | None = None
-    ) -> Iterator[YamlMapping]:
+    def _expand(self, mapping: YamlMapping, key: str, first: str = "") -> Iterator[YamlMapping]:
         """Yield every combination of the values in every block under a key.
 
         Args:
+            mapping: mapping that contains the key.
             key: key of a block or of a list of blocks.
             first: key that a block must contain; a text stands for a block with only this key.
-            mapping: mapping that contains the key; None for the grid.
         """
-        mapping = self._content if mapping is None else mapping
         for block in self._list(mapping, key):
+            if block is None:  # a controller without parameters
+                block = YamlMapping()
             if isinstance(block, str) and first:
                 block = YamlMapping({first: block}, {first: mapping.lines[key]})
             if not isinstance(block, YamlMapping) or (first and first not in block):
@@ -235,9 +212,6 @@ class _Reader:
             return [*range(value["from"], value["to"] + 1)]
         return value if isinstance(value, list) else [value]
 
-    def _number(self, mapping: YamlMapping, key: str) -> float:
-        return Range().read(mapping[key], file=self._path, line=mapping.lines[key], key=key)
-
     def _refuse(self, mapping: YamlMapping, key: str, expected: str) -> ConfigurationError:
         return ConfigurationError(
             expected, file=self._path, line=mapping.lines[key], key=key,
@@ -245,19 +219,15 @@ class _Reader:
         )
 
     @contextmanager
-    def _at(
-        self, lines: Mapping[str, int], otherwise: str, prefix: str = ""
-    ) -> Iterator[None]:
+    def _at(self, lines: Mapping[str, int], otherwise: str) -> Iterator[None]:
         """Add the line number in the grid to an error that is raised elsewhere.
 
         Args:
             lines: lines of the inputs, by their names in errors.
             otherwise: input whose line is used if the error does not name an input.
-            prefix: beginning of the message.
         """
         try:
             yield
         except ConfigurationError as error:
             line = lines.get(error.key or "", lines[otherwise])
-            what = f"{prefix}{error.wrong}" if prefix else str(error)
-            raise ConfigurationError(what, file=self._path, line=line) from error
+            raise ConfigurationError(str(error), file=self._path, line=line) from error

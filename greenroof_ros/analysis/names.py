@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import calendar
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
@@ -10,7 +9,7 @@ from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
 
-from greenroof_ros.analysis.case import Case, find_unused
+from greenroof_ros.analysis.case import Case
 from greenroof_ros.base.parameter import Parameter
 from greenroof_ros.forecast.choice import OPTIONS
 from greenroof_ros.physics.sensor_and_pump import PARAMETERS
@@ -18,8 +17,6 @@ from greenroof_ros.results.table import format_exactly
 from greenroof_ros.site.file import DETERMINES, SITE_KEYS
 from greenroof_ros.weather.records import name_files
 
-# Minimum length of a season (h); shorter runs are none, even on the same day of several years.
-_SEASON_H = 168.0
 # The words for the valve's policy, and for the parameters of a site that a plain key sets alone.
 _WORDS = {"outlet": "valve"} | {own: key for key, (own, *more) in DETERMINES.items() if not more}
 
@@ -32,25 +29,20 @@ def name_cases(cases: Sequence[Case]) -> list[dict[str, str]]:
     the name of a file in the study.
     """
     sites = tell_apart([_describe_site(case) for case in cases])
-    of_weather, of_season = dict[str, set[int]](), dict[str, set[int]]()
-    for case in cases:
-        of_weather.setdefault(name_files(case.inputs.weather), set()).add(case.start.year)
-    seasons = list[dict[str, str]]()
+    seasons, of_season = list[dict[str, str]](), dict[str, set[int]]()
     for case, site in zip(cases, sites, strict=True):
-        start, hours, weather = case.start, case.hours, name_files(case.inputs.weather)
-        if len(of_weather[weather]) == 1:  # each year may have its own files
-            weather = weather.replace(f"{start:%Y}", "YYYY")
+        start, hours = datetime.fromisoformat(case.inputs.start), case.hours
         seasons.append({
-            "site": site, "weather": weather, "start": f"from {start:%d %B %H:%M}",
-            "hours": f"{hours - leap_hours(start, hours):.6g} h",
+            "site": site, "weather": name_files(case.inputs.weather),
+            "start": f"from {start:%d %B %H:%M}",
+            "hours": f"to {start + timedelta(hours=hours):%d %B %H:%M}",
             "evapotranspiration": f"{case.inputs.evapotranspiration} evapotranspiration",
             "gaps": f"gaps {case.inputs.gaps}",
         })
         of_season.setdefault(str(seasons[-1]), set()).add(start.year)
     facts = [
-        season if len(of_season[str(season)]) > 1 and case.hours >= _SEASON_H else season | {
-            "weather": name_files(case.inputs.weather), "start": f"from {case.inputs.start}",
-            "hours": f"{format_exactly(case.hours)} h",
+        season if len(of_season[str(season)]) > 1 else season | {
+            "start": f"from {case.inputs.start}", "hours": f"{format_exactly(case.hours)} h",
         } for case, season in zip(cases, seasons, strict=True)
     ]
     windows = tell_apart(facts)
@@ -67,15 +59,6 @@ def name_cases(cases: Sequence[Case]) -> list[dict[str, str]]:
             "site": re.sub(r"[^-+.\w]+", "_", sites[place] or Path(case.site_file).stem) + ".yaml",
         } for place, case in enumerate(cases)
     ]
-
-
-def leap_hours(start: datetime, hours: float) -> float:
-    """Return the hours of a 29 February in a run, which a season of other years does not have."""
-    leap = start.year + (start.month > 2)
-    if hours < _SEASON_H or not calendar.isleap(leap):
-        return 0.0
-    day = datetime(leap, 2, 29, tzinfo=start.tzinfo)
-    return 24.0 if start <= day < start + timedelta(hours=hours) else 0.0
 
 
 def tell_apart(facts: Sequence[Mapping[str, str]]) -> list[str]:
@@ -110,8 +93,8 @@ def _describe_setting(case: Case) -> dict[str, str]:
     inputs, forecast = case.inputs, case.inputs.forecast
     return {
         "controller": inputs.controller.name,
+        **dict.fromkeys(inputs.controller.parameters, ""),  # in this order
         **_describe(inputs.parameters, inputs.controller.parameters),
-        **dict.fromkeys(find_unused(inputs.parameters), ""),
         "forecast": f"forecast {forecast}", **_describe(forecast.options(), OPTIONS),
         **_describe(inputs.sensor_and_pump.values(), PARAMETERS),
     }

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -42,19 +41,9 @@ def make_page(title: str, answer: str, sections: Sequence[Section]) -> str:
         loader=jinja2.PackageLoader(__package__, "."), autoescape=True, trim_blocks=True,
         lstrip_blocks=True, undefined=jinja2.StrictUndefined,
     )
-    environment.filters["kind"] = _name_kind
-    environment.filters["pictures"] = lambda figure: [
-        base64.b64encode(picture.encode()).decode() for picture in figure.pictures()
-    ]
     return environment.get_template("page.html").render(
         title=title, answer=answer, sections=sections, versions=format_versions(versions())
     )
-
-
-def _name_kind(part: Part) -> str:
-    """Return what a part is: ``text``, ``table``, ``figure`` or ``list``."""
-    kinds = (str, "text"), (Table, "table"), (Figure, "figure")
-    return next((name for kind, name in kinds if isinstance(part, kind)), "list")
 
 
 def claim_output(directory: Path, page: str, tables: Sequence[str] = ()) -> None:
@@ -89,9 +78,8 @@ def write_output(
     """
     drawn = directory / FIGURES
     drawn.mkdir(parents=True, exist_ok=True)
-    for file in drawn.iterdir():
-        if file.suffix in (".svg", ".png"):
-            file.unlink()
+    for file in (*drawn.glob("*.svg"), *drawn.glob("*.png")):
+        file.unlink()
     for figure in figures:
         figure.save(drawn)
     for name, text in {page: html, **(tables or {})}.items():

@@ -15,8 +15,8 @@ from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.files import add_path_to_errors, replace_text
 from greenroof_ros.base.processes import LockedError, lock_file
 from greenroof_ros.forecast.skill import REAL, read_skill
-from greenroof_ros.physics.sensor_and_pump import SensorAndPump
 from greenroof_ros.results.table import format_csv, parameter_columns
+from greenroof_ros.results.trajectory import TRAJECTORY
 from greenroof_ros.results.versions import versions
 from greenroof_ros.site.file import format_site
 
@@ -35,8 +35,7 @@ class StudyStore:
         results: columns of finished runs, by identity.
         failures: reasons why runs failed, by identity; a run that is neither in ``results`` nor in
             ``failures`` was not run.
-        bounds: columns of the known minimum deviations and discharges, by the identities in
-            :attr:`.Case.bounds`.
+        bounds: columns of the known minimum possible values, by identity of the plain cases.
     """
 
     def __init__(
@@ -111,8 +110,6 @@ class StudyStore:
                     (self.inputs / name).write_bytes(content)
             replace_text(file, json.dumps(identity, indent=2) + "\n")
         self._runs.mkdir(exist_ok=True)
-        for cut_short in self._runs.glob("*.part"):
-            shutil.rmtree(cut_short)
 
     def name(self, case: Case) -> str:
         """Return the name of a case: what differs from the others."""
@@ -127,9 +124,9 @@ class StudyStore:
         """
         part, whole = self._runs / f"{case.identity}.part", self._runs / case.identity
         part.mkdir(exist_ok=True)
-        for name, content in outcome.files.items():
-            with add_path_to_errors(part / name):
-                (part / name).write_bytes(content)
+        if outcome.trajectory is not None:
+            with add_path_to_errors(part / TRAJECTORY):
+                (part / TRAJECTORY).write_bytes(outcome.trajectory)
         replace_text(part / _OUTCOME, json.dumps(outcome.results, indent=2))
         shutil.rmtree(whole, ignore_errors=True)  # after a power cut
         part.replace(whole)
@@ -143,23 +140,16 @@ class StudyStore:
     def write_table(self) -> list[dict[str, Any]]:
         """Write ``results.csv``, and return its rows."""
         parameters = dict.fromkeys(name for case in self.cases for name in case.inputs.parameters)
-        imperfect = any(case.inputs.sensor_and_pump != SensorAndPump() for case in self.cases)
         rows = []
         for case in self.cases:
             inputs, identity = case.inputs, case.identity
             results, error = self.results.get(identity), self.failures.get(identity)
-            bounds = {
-                name: value for each in case.bounds
-                for name, value in self.bounds.get(each, {}).items()
-            }
-            least, total = bounds.get("bound_m3"), (results or {}).get("total_deviation_m3")
+            bounds = self.bounds.get(case.plain.identity, {})
             rows.append({
                 "run": identity, **self._names[identity], **case.columns(),
-                **(inputs.sensor_and_pump.values() if imperfect else {}),
                 **parameter_columns({name: inputs.parameters.get(name) for name in parameters}),
                 "status": "done" if results else "not run" if error is None else "failed",
                 "error": error or "", **(results or {}), **bounds,
-                **({"ratio_to_bound": total / least} if total is not None and least else {}),
             })
         columns = dict.fromkeys(column for row in rows for column in row)
         replace_text(self.directory / "results.csv", format_csv(columns, rows))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import os
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import replace
 from hashlib import sha256
@@ -12,24 +12,21 @@ from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from greenroof_ros.analysis.case import Case, drop_unused, run_case
+from greenroof_ros.analysis.case import Case, choose_used, compute_bounds, run_case
 from greenroof_ros.analysis.executors import Task, run_tasks
 from greenroof_ros.analysis.store import StudyStore
-from greenroof_ros.analysis.tables import COLUMNS
+from greenroof_ros.analysis.tables import COLUMNS, TOTAL, WET, check_metrics
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.files import unique_name
 from greenroof_ros.base.processes import scratch_directory
-from greenroof_ros.controllers.onoff import OnOff
 from greenroof_ros.controllers.registry import DEFAULT, choose_class, find_controller
 from greenroof_ros.forecast.choice import ForecastChoice
 from greenroof_ros.forecast.issue import read_archive, write_forecasts
-from greenroof_ros.physics.compiled import note_if_slow
 from greenroof_ros.physics.sensor_and_pump import SensorAndPump
 from greenroof_ros.results.forked_polars import make_frame
 from greenroof_ros.results.table import find_differing_keys
 from greenroof_ros.simulation.inputs import RunInputs, find_needs, make_inputs
-from greenroof_ros.simulation.run import Run, count_ticks
-from greenroof_ros.site.file import read_site
+from greenroof_ros.simulation.run import Run
 from greenroof_ros.site.site import Site
 from greenroof_ros.weather.frame import is_frame
 from greenroof_ros.weather.read import read_weather, write_plain
@@ -51,81 +48,69 @@ class Files:
         self.contents = dict[str, bytes]()
         self.runs = dict[tuple[object, ...], tuple[Run, list[str]]]()
         self._names = dict[tuple[Path, bytes], str]()
-        self._read_bytes = functools.cache(Path.read_bytes)
         self._write_plain = functools.cache(write_plain)
-        self._read_site = functools.cache(read_site)
         self._read_weather = functools.cache(read_weather)
-        self._write_archive = functools.cache(_write_archive)
+        self._write_archive = functools.cache(
+            lambda path, site: write_forecasts(read_archive(path, site))
+        )
 
-    def make_case(
-        self, inputs: RunInputs, site_file: str = "site.yaml", block: float | None = None
-    ) -> Case:
+    def make_case(self, inputs: RunInputs, site_file: str = "site.yaml") -> Case:
         """Check a run, and return its case, without inputs that do not affect it.
 
         Args:
             inputs: inputs of the run.
             site_file: name of the file of a site that was read before.
-            block: time block of the bound, as in a case.
 
         Raises:
             ConfigurationError: if the run is invalid.
         """
         if isinstance(inputs.site, Path):
-            site_file, inputs = inputs.site.name, replace(inputs, site=self._read_site(inputs.site))
-        site, weather = inputs.site, inputs.weather
-        assert isinstance(site, Site)
-        complete = functools.partial(inputs.controller.complete_parameters, site)
-        inputs = drop_unused(inputs, complete(inputs.parameters))
-        parameters, forecast = complete(inputs.parameters), inputs.forecast
-        if block:
-            count_ticks(site, block, "bound_block", unit_s=1.0)
-        run, names = self._build(replace(
-            inputs, parameters=parameters,
-            # Forecasts with errors need the same records as perfect forecasts.
-            forecast=forecast if forecast.file else ForecastChoice(),
-        ), site)
+            site_file = inputs.site.name
+        site = inputs.read_site()
+        inputs = choose_used(replace(inputs, site=site), site)
+        forecast, (run, names) = inputs.forecast, self._build(inputs, site)
         weather = tuple(map(Path, names))
         if forecast.file is not None:
-            names = [*names, self._add_forecast(forecast.file, site)]
+            path, text = forecast.file, None
+            if path.is_dir():  # one file in the project's own form
+                path, text = path.with_name(f"{path.name}.csv"), self._write_archive(path, site)
+            names = [*names, self.add(path, text)]
             forecast = replace(forecast, file=Path(names[-1]))
         return Case(
             replace(
-                inputs, weather=weather, parameters=parameters, forecast=forecast,
-                start=run.start.isoformat(), hours=run.steps * site.tau / 3600,
-                evapotranspiration=run.weather.method, initial=run.initial, cistern=run.x1,
-                roof=run.x2,
+                inputs, weather=weather, forecast=forecast, start=run.start.isoformat(),
+                hours=run.steps * site.tau / 3600, evapotranspiration=run.weather.method,
+                initial=run.initial, cistern=run.x1, roof=run.x2,
             ),
             site_file, {name: sha256(self.contents[name]).hexdigest() for name in names},
-            run.steps, block,
         )
 
     def _build(self, inputs: RunInputs, site: Site) -> tuple[Run, list[str]]:
         """Build a run, once for all runs with the same records, and name its weather files."""
-        weather, controller = inputs.weather, inputs.controller
-        needs = find_needs(controller, inputs.parameters), inputs.parameters.get("horizon")
+        if inputs.forecast.file is None:  # all models need the same records
+            inputs = replace(inputs, forecast=ForecastChoice())
+        weather, files = inputs.weather, isinstance(inputs.weather, tuple)
+        needs = find_needs(inputs.controller, inputs.parameters), inputs.parameters.get("horizon")
         others = replace(
             inputs, weather=(), parameters={}, controller=find_controller(DEFAULT),
             sensor_and_pump=SensorAndPump(),
         )
-        files = isinstance(weather, tuple)
         key = needs, weather if files else id(weather), repr(others)
         if key not in self.runs:
             if files:
-                weather = self._read_weather(
+                name, plain = weather[0].stem, self._write_plain(weather, site.place)
+                inputs = replace(inputs, weather=self._read_weather(
                     weather, site.place, inputs.evapotranspiration, inputs.gaps
-                )
-            run, plain = replace(inputs, weather=weather).build(), None
-            name = Path(f"{run.weather.files[0].stem}.csv" if files else "weather.csv")
-            if files:
-                plain = self._write_plain(inputs.weather, site.place)
-            elif run.records is not None:
-                plain = write_records(run.records, "Written from a data frame.")
+                ))
+            run = inputs.build()
+            if not files and run.records is not None:
+                name, plain = "weather", write_records(run.records, "Written from a data frame.")
             self.runs[key] = run, [*map(self.add, run.weather.files)] if plain is None else [
-                self.add(name, plain.encode())
+                self.add(Path(f"{name}.csv"), plain)
             ]
         return self.runs[key]
 
-    def add(self, path: Path, content: bytes | None = None) -> str:
+    def add(self, path: Path, text: str | None = None) -> str:
         """Add a file, and return its name in the study.
 
         The name is the file's own name, preceded by the folder's name if another file has the same
@@ -133,10 +118,10 @@ class Files:
 
         Args:
             path: path of the file.
-            content: content that replaces the file's own.
+            text: text that replaces the file's content.
         """
         path = path.resolve()
-        key = path, self._read_bytes(path) if content is None else content
+        key = path, path.read_bytes() if text is None else text.encode()
         if key not in self._names:
             used = self.contents.keys() | {"grid.yaml", "study.json", "weather.yaml"}
             name = path.name if path.name not in used else f"{path.parent.name}-{path.name}"
@@ -144,22 +129,10 @@ class Files:
             self.contents[self._names[key]] = key[1]
         return self._names[key]
 
-    def _add_forecast(self, path: Path, site: Site) -> str:
-        """Add a file of forecasts, or a directory as a single file in the project's own format."""
-        if not path.is_dir():
-            return self.add(path)
-        text = self._write_archive(path, site)
-        return self.add(path.with_name(f"{path.name}.csv"), text.encode())
-
-
-def _write_archive(path: Path, site: Site) -> str:
-    return write_forecasts(read_archive(path, site))
-
 
 def study(
     cases: Any, executor: Executor | None = None, *, output: str | os.PathLike[str] | None = None,
-    bound_block: float | None = None, trajectory_every: float | None = None,
-    jobs: int | None = None,
+    show: Sequence[str] = (), trajectory_every: float | None = None, jobs: int | None = None,
 ) -> polars.DataFrame:
     """Simulate many runs, and return a table with a row for each.
 
@@ -176,8 +149,8 @@ def study(
             must see the directory ``output``.
         output: directory for the results as of ``greenroof study``, which ``greenroof report``
             reads. If it contains an interrupted study of the same cases, the study is continued.
-        bound_block: duration for which one variable of the minimum possible deviation applies (s),
-            0 for only the minimum discharge of a valve; None to compute no minimum.
+        show: metrics that the study is about, such as ``["wet_discharge_m3"]``: their minimum
+            possible values are computed, and a report shows them first.
         trajectory_every: time between the samples of each run's trajectory in ``output`` (s), 0 for
             every time step; None to keep none.
         jobs: number of threads, and of processes; by default one per core.
@@ -187,7 +160,8 @@ def study(
         a run failed.
 
     Raises:
-        ConfigurationError: if an input of a case is invalid, or ``output`` is not empty.
+        ConfigurationError: if an input of a case or a metric is invalid, or ``output`` is not
+            empty.
 
     Example:
         >>> import greenroof_ros as gr
@@ -195,20 +169,21 @@ def study(
         >>> table["fraction", "pump_starts"].rows()
         [(0.5, 1), (1.0, 1)]
     """
+    check_metrics(show)
     files, made = Files(), dict[str, Case]()
     for number, keywords in enumerate(_list_cases(cases), start=1):
         given = {name: value for name, value in keywords.items() if value is not None}
         kind = given.pop("controller", DEFAULT)
         choice = choose_class(kind) if isinstance(kind, type) else find_controller(str(kind))
         try:
-            case = files.make_case(make_inputs(choice, given), block=bound_block)
+            case = files.make_case(make_inputs(choice, given))
         except ConfigurationError as error:
             raise ConfigurationError(f"{error} (case {number})") from error
         made[case.identity] = case
     with scratch_directory() as scratch:
         store = StudyStore(
             scratch / "study" if output is None else Path(output), [*made.values()],
-            files.contents, trajectory_every=trajectory_every,
+            files.contents, trajectory_every=trajectory_every, show=show,
         )
         run_study(store, executor=executor, jobs=jobs)
         rows = store.write_table()
@@ -248,28 +223,24 @@ def run_study(
     Raises:
         WorkersLostError: if the workers were lost.
     """
-    tasks = {
-        identity: Task(function, (case,))
-        for case in store.cases for identity, function in case.bounds.items()
-        if identity not in store.bounds
+    bounded = {
+        case.plain.identity: case for case in store.cases
+        if TOTAL in store.show or (WET in store.show and case.site.low_outlet_valve)
     }
+    tasks = [
+        Task(compute_bounds, (case, store.show)) for identity, case in bounded.items()
+        if identity not in store.bounds
+    ]
     # The longest first, or at the end one core may have a long run while the others are idle.
-    for case in sorted(store.cases, key=lambda case: (
+    left = [case for case in store.cases if case.identity not in store.results]
+    left.sort(key=lambda case: (
         not case.inputs.controller.ensemble, not case.inputs.controller.outputs,
         -case.hours, case.inputs.weather, case.inputs.start,
-    )):
-        if case.identity not in store.results:
-            tasks[f"run {case.identity}"] = Task(
-                run_case, (case, store.trajectory_every), case.is_compiled
-            )
-    identities = {id(task): identity for identity, task in tasks.items()}
-    note_if_slow(sum(
-        task.arguments[0].ticks for task in tasks.values()
-        if task.arguments[0].inputs.controller.kind is OnOff
     ))
+    tasks += [Task(run_case, (case, store.trajectory_every), case.is_compiled) for case in left]
 
     def receive(task: Task, result: Any, error: Exception | None) -> None:
-        case, identity = task.arguments[0], identities[id(task)]
+        case = task.arguments[0]
         if error is not None:
             reason, what = str(error) or type(error).__name__, "no bound"
             if task.function is run_case:  # a missing bound is no failure
@@ -278,9 +249,9 @@ def run_study(
         elif task.function is run_case:
             store.write_outcome(case, result)
         else:
-            store.write_bound(identity, result)
+            store.write_bound(case.plain.identity, result)
 
     if tasks:
         run_tasks(
-            tasks.values(), store.inputs, receive, executor=executor, jobs=jobs, progress=progress
+            tasks, store.inputs, receive, executor=executor, jobs=jobs, progress=progress
         )

@@ -3,10 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
+from greenroof_ros.base.errors import ConfigurationError, suggest_names
 from greenroof_ros.results.metrics import METRICS, Metric
+from greenroof_ros.site.site import Site
+
+TOTAL, WET, MAINS = "total_deviation_m3", "wet_discharge_m3", "mains_m3"
+BOUNDS = {TOTAL: "bound_m3", WET: "bound_wet_discharge_m3", MAINS: "bound_mains_m3"}
+"""the results of the minimum possible values, by metric"""
 
 
 class Column(NamedTuple):
@@ -69,17 +75,20 @@ def format_number(value: float) -> str:
     return f"{value:.0f}" if abs(rounded) >= 100 else f"{rounded:g}"
 
 
-def format_range(
-    mean: float | None, low: float | None, high: float | None, column: Column
+def write_range(
+    row: Mapping[str, Any], name: str, column: Column, low: str = "_min", high: str = "_max"
 ) -> str:
-    """Return a mean with the lowest and the highest value: ``3.5 (1.2 to 7.9)``."""
-    texts = [write(value, column) for value in (mean, low, high)]
+    """Return a result of a row with its range, as ``3.5 (1.2 to 7.9)``.
+
+    Args:
+        row: results.
+        name: name of the result.
+        column: its presentation.
+        low: ending of the name of the lower end.
+        high: ending of the name of the upper end.
+    """
+    texts = [write(row[name + end], column) for end in ("", low, high)]
     return texts[0] if texts[1] == texts[2] else f"{texts[0]} ({texts[1]} to {texts[2]})"
-
-
-def write_range(row: Mapping[str, Any], name: str, column: Column) -> str:
-    """Return a result of a row with its range, whose columns end in ``_min`` and ``_max``."""
-    return format_range(row[name], row[f"{name}_min"], row[f"{name}_max"], column)
 
 
 def _describe(metric: Metric) -> Column:
@@ -94,3 +103,22 @@ def _describe(metric: Metric) -> Column:
 
 COLUMNS = {metric.name: _describe(metric) for metric in METRICS}
 """the presentation of each metric, by its name"""
+
+
+def check_metrics(names: Iterable[str]) -> None:
+    """Check that metrics exist.
+
+    Raises:
+        ConfigurationError: if one does not exist.
+    """
+    for name in names:
+        if name not in COLUMNS:
+            raise ConfigurationError(
+                f"is no metric; {suggest_names(str(name), COLUMNS)}", key="show", value=name
+            )
+
+
+def choose_metrics(sites: Iterable[Site]) -> list[str]:
+    """Return the metrics that are shown of runs unless others are asked for."""
+    valves = any(site.low_outlet_valve and site.mains_level for site in sites)
+    return [WET, MAINS] if valves else [TOTAL]

@@ -7,7 +7,7 @@ import gzip
 import math
 import os
 import re
-from collections.abc import Callable, Container, Iterable, Iterator, Mapping
+from collections.abc import Callable, Container, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -98,14 +98,29 @@ def is_there(path: Path) -> bool:
     return os.path.exists(path)  # noqa: PTH110 (pathlib raises an error)
 
 
-def find_matches(name: str, places: Iterable[Path]) -> list[Path]:
-    """Return the files that match a name or pattern, from the first directory with such files."""
+def find_named(name: str, file: Path, key: str) -> list[Path]:
+    """Return the files that match a name or pattern in a file.
+
+    They are from the first directory with such files: next to the file, or in this package's
+    ``config/`` or ``config/weather/``, so that a copy of a file of this package works unchanged.
+
+    Args:
+        name: the name or pattern.
+        file: the file that contains the name.
+        key: key of the name, for the error.
+
+    Raises:
+        ConfigurationError: if no directory contains such a file.
+    """
+    config = shared_directory() / "config"
+    places = file.parent, config, config / "weather"
     for place in places:
         if is_there(place / name):
             return [place / name]
         if found := sorted(glob.glob(str(place / name))):  # noqa: PTH207
-            return [Path(file) for file in found]
-    return []
+            return [Path(each) for each in found]
+    where = ", ".join(str(place.resolve()) for place in places)
+    raise ConfigurationError(f"there is no {name} in {where}", key=key)
 
 
 MAX_BYTES = 100_000_000

@@ -66,8 +66,8 @@ def make_parser() -> Parser:
     )
     trajectories.add_argument(
         "--no-trajectories", dest="trajectory_every", action="store_const", const=None,
-        help="keep only the table and the rain events, for studies with thousands of runs. A "
-        "report then contains no figures of weather, commands and volumes",
+        help="keep only the table, for studies with thousands of runs. A report then contains no "
+        "figures of weather, commands and volumes",
     )
     return parser
 

@@ -11,7 +11,7 @@ from refusals import refusal
 
 from greenroof_ros.analysis.figures import Figure, Panel
 from greenroof_ros.analysis.page import Section, claim_output, make_page, write_output
-from greenroof_ros.analysis.tables import COLUMNS, Table, format_range, format_share
+from greenroof_ros.analysis.tables import COLUMNS, Table, format_share, write_range
 from greenroof_ros.results.metrics import METRICS
 
 
@@ -51,5 +51,6 @@ def test_only_all_is_100_per_cent(share: float, text: str) -> None:
 
 def test_every_metric_has_a_column() -> None:
     assert set(COLUMNS) == {metric.name for metric in METRICS}
-    assert format_range(3.51, 1.2, 123.4, COLUMNS["mains_m3"]) == "3.51 (1.2 to 123)"
+    row = {"mains_m3": 3.51, "mains_m3_min": 1.2, "mains_m3_max": 123.4}
+    assert write_range(row, "mains_m3", COLUMNS["mains_m3"]) == "3.51 (1.2 to 123)"
     assert COLUMNS["wet_discharge_m3"].heading == "discharge in wet weather (m³)"

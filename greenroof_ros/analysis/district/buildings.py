@@ -25,9 +25,7 @@ from greenroof_ros.weather.table import read_table
 
 Values = NDArray[np.float64]
 
-ID, LINE, GROUP, LOW_OUTLET = "id", "line", "group", "low_outlet"
-# A distribution is rejected if its limits leave less of it than this share.
-_MIN_SHARE = 1e-3
+ID, LINE, GROUP = "id", "line", "group"
 
 
 def list_buildings(district: District, notes: list[str]) -> pl.DataFrame:
@@ -77,9 +75,8 @@ def make_buildings(
 
     Returns:
         The listed columns and the drawn keys; ``adopts_at``, the first level of adoption at which
-        each building has a green roof, if it ever has one; its ``group``, the index of this level,
-        or the number of levels; and ``low_outlet``, whether its cistern has a valve, or an orifice
-        in its place. The share of these is the same at every level, to within one building.
+        each building has a green roof, if it ever has one; and its ``group``, the index of this
+        level, or the number of levels.
 
     Raises:
         ConfigurationError: if a value is outside the range of its key.
@@ -89,7 +86,7 @@ def make_buildings(
     for name, each in sorted(district.draw.items(), key=lambda item: item[1].times is not None):
         if name in listed.columns:
             raise district.refuse(f"draw.{name}", f"is also a column of {district.file}", name)
-        drawn = _draw(district, name, each, count, seed)
+        drawn = _draw(name, each, count, seed)
         if each.times is not None:
             factor = values.get(each.times, getattr(site, each.times, None))
             drawn = drawn * np.asarray(factor, float)  # NaN without a value
@@ -99,13 +96,11 @@ def make_buildings(
                 raise district.refuse(f"draw.{name}", f"must be {key.limits}", value)
         values[name] = drawn
     ranks = np.random.default_rng(seed).permutation(count)
-    before, after = (np.floor((ranks + more) * district.valve_share + 1e-9) for more in (0, 1))
     counts = [math.floor(share * count + 0.5) for share in district.shares]
     groups = np.searchsorted(counts, ranks, side="right")
     return listed.with_columns(
         **{name: pl.Series(each) for name, each in values.items()}, group=pl.Series(groups),
         adopts_at=pl.Series([*district.shares, None], dtype=pl.Float64).gather(groups),
-        low_outlet=pl.Series((after > before) & (groups < len(counts))),
     )
 
 
@@ -137,24 +132,17 @@ def refuse_building(
     return ConfigurationError(expected, file=file, line=line, key=key, value=error.value)
 
 
-def _draw(district: District, name: str, draw: Draw, count: int, seed: int) -> Values:
+def _draw(name: str, draw: Draw, count: int, seed: int) -> Values:
     """Return a key's value for each building, from the inverse of its distribution."""
     shares = np.random.default_rng([seed, zlib.crc32(name.encode())]).random(count)
     if draw.values:
         return np.asarray(np.array(draw.values)[(shares * len(draw.values)).astype(int)])
-    if draw.mean is None or draw.sd is None:
-        low, high = np.array([draw.low, draw.high], float)
-        return np.asarray(low + (high - low) * shares)
+    mean, sd = np.array([draw.mean, draw.sd], float).tolist()
     low, high = draw.low or 0.0, math.inf if draw.high is None else draw.high
-    variance = math.log1p((draw.sd / draw.mean) ** 2)
-    middle, width = math.log(draw.mean) - variance / 2, math.sqrt(variance)
+    variance = math.log1p((sd / mean) ** 2)
+    middle, width = math.log(mean) - variance / 2, math.sqrt(variance)
     below, up_to = (
         ndtr((math.log(end) - middle) / width) if end > 0 else 0.0 for end in (low, high)
     )
-    if up_to - below < _MIN_SHARE:
-        raise district.refuse(
-            f"draw.{name}", "must have low and high between which its distribution lies, but only "
-            f"a share of {max(0.0, up_to - below):.2g} of it does",
-        )
     drawn = np.exp(middle + width * ndtri(below + (up_to - below) * shares))
     return np.asarray(np.clip(drawn, low, high))  # rounding may exceed the limits

@@ -8,18 +8,17 @@ from pathlib import Path
 from typing import Any
 
 from greenroof_ros.base.errors import ConfigurationError, suggest_names
-from greenroof_ros.base.files import YamlMapping, find_matches, read_yaml, shared_directory
+from greenroof_ros.base.files import YamlMapping, find_named, read_yaml
 from greenroof_ros.base.parameter import Parameter, entry, find, read_record
 from greenroof_ros.controllers import outlet
 from greenroof_ros.controllers.onoff import LEVEL
-from greenroof_ros.forecast.choice import ENSEMBLE, ERRORS, PERFECT
+from greenroof_ros.forecast.choice import ERRORS, MODELS
 from greenroof_ros.site.file import SITE_KEYS
 from greenroof_ros.weather.series import GAPS, REFUSE
 
 NONE, ORIFICE, DRAIN, PLAN = OUTLETS = ("none", "orifice", outlet.DRAIN, outlet.PLAN)
 """ways to empty the cisterns: the overflow alone; an orifice that is always open; a valve with one
 of two policies"""
-NO_FORECAST = "none"
 POLICY_KEYS = {each.name: each for each in (LEVEL, *outlet.PARAMETERS) if each.name != "outlet"}
 """parameters of the pump's controller and of the valve, whose kind the district file chooses"""
 # Numbers that all buildings share: weather, clock, and valves.
@@ -40,10 +39,8 @@ class Draw:
 
     mean: float | None = entry("mean of a log-normal distribution", 1e-12, 1e9, default=None)
     sd: float | None = entry("standard deviation of this distribution", 1e-12, 1e9, default=None)
-    low: float | None = entry(
-        "lower limit of this distribution or, alone, of a uniform one", -1e9, 1e9, default=None
-    )
-    high: float | None = entry("upper limit", -1e9, 1e9, default=None)
+    low: float | None = entry("lower limit of this distribution", 0.0, 1e9, default=None)
+    high: float | None = entry("upper limit", 0.0, 1e9, default=None)
     values: tuple[float, ...] = entry(
         "equally likely numbers to draw from, instead of a distribution", -1e9, 1e9, default=()
     )
@@ -54,20 +51,12 @@ class Draw:
 
 @dataclass(frozen=True)
 class DistrictWeather:
-    """The weather, and the period that is simulated."""
+    """The weather, and the days that are simulated in every year."""
 
     file: str = entry("weather file, or glob pattern such as '2021_*.csv', for all buildings")
     season: str | None = entry(
         "first and last day of the seasons, such as 05-01/10-31 (default: May to October, or "
         "November to April south of the equator)", default=None,
-    )
-    start: str | None = entry(
-        "time of the first tick (ISO 8601) of a single run, instead of seasons; without a UTC "
-        "offset, it is on the clock of the site or, without a time_zone, of the weather",
-        default=None,
-    )
-    hours: float | None = entry(
-        "length of the single run that begins at start", 1e-9, 1e6, unit="h", default=None
     )
     evapotranspiration: str | None = entry("method of computing evapotranspiration", default=None)
     gaps: str = entry("treatment of missing hours", choices=GAPS, default=REFUSE)
@@ -88,7 +77,7 @@ class District:
     """The keys of a district file."""
 
     site: str = entry("site file with the values that all buildings have in common")
-    weather: DistrictWeather = entry("weather file and simulated period")
+    weather: DistrictWeather = entry("weather file and simulated seasons")
     buildings: int | None = entry(
         "number of buildings, whose properties are drawn from distributions", 1, 1_000_000,
         default=None,
@@ -117,18 +106,14 @@ class District:
         "shares of the buildings that have a green roof and a cistern, each of which is simulated",
         0.0, 1.0, unit="1", default=(0.1, 0.25, 0.5, 1.0),
     )
-    valve_share: float = entry(
-        "share of the cisterns that have a valve or the orifice; the others can only overflow",
-        0.0, 1.0, unit="1", default=1.0,
-    )
     forecast: str = entry(
         "forecast that the outlet policy plan receives: with the skill of a weather service "
-        "(errors), ten of these (ensemble), the future rain (perfect), or none",
-        choices=(ERRORS, ENSEMBLE, PERFECT, NO_FORECAST), default=ERRORS,
+        "(errors), ten of these (ensemble), or the future rain (perfect)", choices=MODELS,
+        default=ERRORS,
     )
-    sewer_capacity: float | None = entry(
-        "capacity of the sewer per unit of the connected area of all buildings", 1e-6, 1000.0,
-        unit="mm/h", default=None,
+    sewer_capacity: float = entry(
+        "capacity of the sewer per unit of the connected area of all buildings [default assumed]",
+        1e-6, 1000.0, unit="mm/h", default=5.0,
     )
     path: Path = Path()
     """path of the file"""
@@ -155,11 +140,10 @@ class District:
         Raises:
             ConfigurationError: if there is no such file.
         """
-        shipped = shared_directory() / "config"
-        everywhere = [self.path.parent, shipped, shipped / "weather"]
-        if found := find_matches(name, everywhere):
-            return found
-        raise self.refuse(key, f"there is no such file in {', '.join(map(str, everywhere))}", name)
+        try:
+            return find_named(name, self.path, key)
+        except ConfigurationError as error:
+            raise self.refuse(key, error.expected, name) from None
 
 
 def read_district(path: Path) -> District:
@@ -178,20 +162,17 @@ def read_district(path: Path) -> District:
 
 def _find_mistakes(district: District) -> Iterator[tuple[str, str]]:
     """Yield the key of each contradiction, and a sentence that states what would be right."""
-    weather, known = district.weather, BUILDING_KEYS
+    known = BUILDING_KEYS
     if (district.buildings is None) == (district.file is None):
         yield "buildings", "must be set, or else file, a CSV file that lists the buildings"
-    if (weather.start is None) != (weather.hours is None):
-        yield "weather", "must contain both start and hours, or neither for whole seasons"
-    if weather.season is not None and weather.start is not None:
-        yield "weather.season", "cannot be combined with start and hours of a single run"
     for name, draw in district.draw.items():
         if name not in known:
             yield f"draw.{name}", f"cannot differ between buildings; {suggest_names(name, known)}"
-        ends = {"low", "high"}
         given = {each for each in vars(draw) if getattr(draw, each) not in (None, ())} - {"times"}
-        if given not in ({"values"}, ends) and given - ends != {"mean", "sd"}:
-            yield f"draw.{name}", "must have mean and sd, low and high, or values"
+        if given != {"values"} and given - {"low", "high"} != {"mean", "sd"}:
+            yield f"draw.{name}", "must have mean and sd, or values"
+        if draw.high is not None and draw.high <= (draw.low or 0.0):
+            yield f"draw.{name}", "must have high above low"
         other = district.draw.get(draw.times or "")
         if draw.times is not None and (draw.times not in known or (other and other.times)):
             yield f"draw.{name}.times", "must be a key of a building that is not itself multiplied"

@@ -9,9 +9,9 @@ import altair as alt
 import polars as pl
 
 from greenroof_ros.analysis.district.file import DRAIN, NONE, ORIFICE, PLAN
-from greenroof_ros.analysis.district.scene import PEAK_MIN
 from greenroof_ros.analysis.figures import Figure, Panel, distinguish_series
-from greenroof_ros.analysis.tables import COLUMNS, Column, Table, format_number, format_range
+from greenroof_ros.analysis.seasons import find_ranges
+from greenroof_ros.analysis.tables import COLUMNS, Column, Table, format_number, write_range
 from greenroof_ros.analysis.tables import format_share as share
 
 LESS = "wet_discharge_reduction"
@@ -26,11 +26,8 @@ ROUTED = {
     "routed_overflow_m3": Column("sewer overflow, routed", "m³", format_number),
     "routed_peak_l_s": Column("peak in the sewer, routed", "L/s", format_number),
 }
-PEAKS = {
-    f"peak_{each}min_mm_h": Column(f"peak over {each} min, unrouted", "mm/h", format_number)
-    for each in PEAK_MIN
-}
-OVERFLOW = {"routed": "routed_overflow_m3", "unrouted": "sewer_overflow_m3"}
+ENDS = ("_p5", "_p95")
+"""endings of the columns with the 5th and the 95th percentile"""
 RESTS_ON = {name: VOLUMES[name] for name in (LESS, "retention_share", "mains_m3")}
 _LABELS = {NONE: "overflow only", ORIFICE: "orifice", DRAIN: "valve, drain", PLAN: "valve, plan"}
 
@@ -40,23 +37,18 @@ def label(row: Mapping[str, Any]) -> str:
     return _LABELS[row["outlet"]] if row["adoption"] else "as it is"
 
 
-def write(row: Mapping[str, Any], name: str, column: Column) -> str:
-    """Return the mean of a result with its range."""
-    return format_range(row[name], row[f"{name}_p5"], row[f"{name}_p95"], column)
-
-
 def say(row: Mapping[str, Any], name: str) -> str:
     """Return the mean of a result with its range and its unit."""
     column = (VOLUMES | ROUTED)[name.removeprefix("dry_")]
-    return f"{write(row, name, column)} {column.unit}"
+    return f"{write_range(row, name, column, *ENDS)} {column.unit}"
 
 
 def tabulate(table: pl.DataFrame, columns: Mapping[str, Column], caption: str) -> Table:
     """Return a table of results with their ranges, a row for each flow that has them."""
-    shown = {name: each for name, each in columns.items() if name in table.columns}
-    return Table(caption, ["outlet", "buildings", *shown.values()], [
-        [label(row), f"{row['buildings']:,.0f}", *(write(row, *each) for each in shown.items())]
-        for row in table.drop_nulls(list(shown)).iter_rows(named=True)
+    return Table(caption, ["outlet", "buildings", *columns.values()], [
+        [label(row), f"{row['buildings']:,.0f}",
+         *(write_range(row, *each, *ENDS) for each in columns.items())]
+        for row in table.drop_nulls(list(columns)).iter_rows(named=True)
     ])
 
 
@@ -67,16 +59,15 @@ def tabulate_assumptions(assumptions: pl.DataFrame, outlet: str) -> Table:
         assumptions: results of every season, as used and at the ends, with both of these in words.
         outlet: the outlet in words.
     """
-    groups = assumptions.group_by("assumption", "value", maintain_order=True)
+    by = ["assumption", "value"]
+    ranges = find_ranges(assumptions.select(*by, "season", *RESTS_ON), by)
     return Table(
         f"The first ten buildings with a green roof of the first draw ({outlet}), which differ "
         "from all buildings, with each assumption at both ends of its range, one at a time; lowest "
         "and highest season in brackets",
-        ["assumption", "value", *RESTS_ON.values()], [
-            [*key, *(
-                format_range(each.mean(), each.min(), each.max(), column)
-                for name, column in RESTS_ON.items() for each in [part[name].to_numpy()]
-            )] for key, part in groups
+        [*by, *RESTS_ON.values()], [
+            [*(row[name] for name in by), *(write_range(row, *each) for each in RESTS_ON.items())]
+            for row in ranges.iter_rows(named=True)
         ], frozenset({0}),
     )
 
@@ -99,7 +90,7 @@ def draw_adoption(table: pl.DataFrame) -> Figure:
                 y=alt.Y(f"{name}_p5:Q", title=None), y2=alt.Y2(f"{name}_p95:Q")
             ),
             base.mark_line(point=True, strokeWidth=2).encode(y=alt.Y(f"{name}:Q", title=None)),
-        ), VOLUMES[name].heading) for name in names if name in table.columns
+        ), VOLUMES[name].heading) for name in names
     ]
     return Figure("adoption", "Volumes in a season, by adoption", "Lines are means; bands extend "
                   "from the 5th to the 95th percentile.", tuple(panels), 2,

@@ -34,7 +34,6 @@ FILES = (*TABLES, "district.yaml", "swmm")
 """other files of the output than the page and its figures"""
 # Number of buildings with which the ends of assumptions are simulated.
 _SAMPLE = 10
-_FORECASTS = {"perfect": "perfect forecasts", "none": "no forecasts"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +43,6 @@ class DistrictResult:
     Attributes:
         district: contents of the district file.
         site: the site that all buildings have in common.
-        window: the days of a season in words, or the length of a single run.
         all_rows: results of every flow in every draw and season; names include the units.
         buildings: a row for every building of the first draw: when it adopts, and the means of its
             results over the seasons.
@@ -55,7 +53,6 @@ class DistrictResult:
 
     district: keys.District
     site: Site
-    window: str
     all_rows: pl.DataFrame
     buildings: pl.DataFrame
     assumptions: pl.DataFrame
@@ -66,8 +63,10 @@ class DistrictResult:
         """Means of the results, a row for each flow, with their 5th and 95th percentiles."""
         values = pl.exclude("draw", "season", "outlet", "adoption")
         return self.all_rows.group_by("outlet", "adoption", maintain_order=True).agg(
-            values.mean(), values.quantile(0.05, "linear").name.suffix("_p5"),
-            values.quantile(0.95, "linear").name.suffix("_p95"),
+            values.mean(), *(
+                values.quantile(share, "linear").name.suffix(end)
+                for share, end in zip((0.05, 0.95), shown.ENDS, strict=True)
+            ),
         )
 
     @property
@@ -77,7 +76,7 @@ class DistrictResult:
 
     @property
     def sentence(self) -> str:
-        """The effect of the best outlet and of half as many, and for what the numbers stand."""
+        """The effect of the best outlet, and for what the numbers stand."""
         table, best = self.table, self.best
         if not best["adoption"]:
             return "No green roofs and cisterns of this district reduce the water in the sewer."
@@ -87,17 +86,15 @@ class DistrictResult:
             f"{shown.say(best, shown.LESS)} less water reaches the sewer in wet weather; over all "
             f"weather, they retain {shown.say(best, 'retention_share')} of the rain."
         )
-        fewer = pl.col("adoption").is_between(0, best["adoption"] / 2, closed="right")
-        for row in table.filter(fewer, outlet=best["outlet"])[-1:].iter_rows(named=True):
-            less = shown.say(row, shown.LESS)
-            text += f" On {row['buildings']:,.0f} buildings, {less} less."
         first = table.row(0, named=True)
-        for how in [each for each in ("routed", "unrouted") if shown.OVERFLOW[each] in first][:1]:
-            after, before = (shown.say(row, shown.OVERFLOW[how]) for row in (best, first))
-            draw = "routed, first draw" if how == "routed" else how
-            text += f" The sewer overflows with {after} a season instead of {before} ({draw})."
+        name, how = "sewer_overflow_m3", "unrouted"
+        if "routed_overflow_m3" in first:
+            name, how = "routed_overflow_m3", "routed, first draw"
+        after, before = (shown.say(row, name) for row in (best, first))
+        text += f" The sewer overflows with {after} a season instead of {before} ({how})."
         seasons, draws = self.all_rows["season"].unique(maintain_order=True), self.district.draws
-        when = f"{self.window}, {' to '.join(dict.fromkeys((seasons[0], seasons[-1])))}"
+        days = read_window(self.district.weather.season, self.site)
+        when = f"{days}, {' to '.join(dict.fromkeys((seasons[0], seasons[-1])))}"
         return (
             f"{text} Numbers are means of {number_of(len(seasons), 'season')} ({when}) with "
             f"{number_of(draws, 'draw')} of the buildings each; in brackets, the 5th to the 95th "
@@ -107,13 +104,12 @@ class DistrictResult:
     @property
     def warnings(self) -> list[str]:
         """A warning if the flow from all valves exceeds the sewer's capacity in dry weather."""
-        name, table = "dry_sewer_overflow_m3", self.table
-        worst = table.sort(name)[-1:] if name in table.columns else table[:0]
+        name = "dry_sewer_overflow_m3"
         return [
             f"in dry weather, {shown.say(row, name)} a season flow beyond the sewer's capacity "
             f"({shown.label(row)}, {row['buildings']:,.0f} buildings), because the cisterns empty "
             "at the same time; choose a smaller low_outlet_radius"
-            for row in worst.iter_rows(named=True) if row[name]
+            for row in self.table.sort(name)[-1:].iter_rows(named=True) if row[name]
         ]
 
     def save(self, directory: str | os.PathLike[str]) -> Path:
@@ -133,19 +129,15 @@ class DistrictResult:
         html = make_page(title, self.sentence, [
             Section("The results", [
                 f"{count} have a connected area of {area:.3g} ha in the first draw. "
-                f"{100 * district.valve_share:g} % of the cisterns have a valve or an orifice, and "
-                "the others only an overflow. A season begins with cisterns half full and roofs "
-                "at their targets. The buildings are compared with the same "
-                "buildings as they are, from whose roofs all rain runs off at once. Wet weather is "
-                f"the time of rain and the {self.site.wet_after:g} h after it. What valves release "
-                "in dry weather reaches the same sewer: it counts in the discharge and in the "
-                "retention. Percentages are means of the seasons' percentages, which differ a "
-                "little from the ratios of the mean volumes.",
-                *(shown.tabulate(table, columns, caption) for columns, caption in (
-                    (shown.VOLUMES, "Volumes in a season"),
-                    (shown.ROUTED, "Routed by SWMM, first draw of the buildings"),
-                    (shown.PEAKS, "Highest flows of the sum of all buildings, unrouted"),
-                ) if {*columns} & {*table.columns}),
+                "A season begins with cisterns half full and roofs at their targets. The buildings "
+                "are compared with the same buildings as they are, from whose roofs all rain runs "
+                f"off at once. Wet weather is the time of rain and the {self.site.wet_after:g} h "
+                "after it. What valves release in dry weather reaches the same sewer: it counts in "
+                "the discharge and in the retention.",
+                shown.tabulate(table, shown.VOLUMES, "Volumes in a season"),
+                *([
+                    shown.tabulate(table, shown.ROUTED, "Routed by SWMM, first draw")
+                ] if {*shown.ROUTED} <= {*table.columns} else []),
                 *([self.warnings] if self.warnings else []),
             ]),
             Section("Pictures", figures),
@@ -154,21 +146,20 @@ class DistrictResult:
                     self.assumptions, shown.label(self.best)
                 )]), [
                     "Unrouted flows add up in the minute in which they leave their buildings. In "
-                    "pipes they spread out and arrive one after another: real peaks are lower.",
+                    "pipes they spread out and arrive one after another; SWMM computes this.",
                     "Streets, yards, other buildings and storage in the sewer are left out; SWMM "
                     "adds the sewage of 125 people per ha.",
-                    "The shortest rain of the record decides the peaks: of hourly rain, those over "
-                    "5 and 15 minutes are those of an hour.",
-                    "The valve's plan receives "
-                    f"{_FORECASTS.get(district.forecast, 'forecasts as good as services give')}.",
+                    f"The sewer takes {district.sewer_capacity:g} mm/h from the connected area.",
+                    "The valve's plan receives " + (
+                        "perfect forecasts" if district.forecast == PERFECT
+                        else "forecasts as good as services give"
+                    ) + ".",
                 ],
             ]),
             Section("What was read", [self.notes]),
             Section("How it was made", [
                 f"greenroof district {district.path.name}, seeds {district.seed} to "
-                f"{district.seed + district.draws - 1}, ticks of {district.tau:g} s. results.csv "
-                "has the means and percentiles, seasons.csv the results of every draw and season, "
-                "buildings.csv those of every building of the first draw.",
+                f"{district.seed + district.draws - 1}, ticks of {district.tau:g} s.",
             ]),
         ])
         texts = (frame.write_csv() for frame in (table, self.all_rows, self.buildings))
@@ -205,7 +196,7 @@ def district(
     site = read_site(given.find_files("site", given.site)[0], {"tau": given.tau, "M": 1})
     if site.low_outlet_level is None and {*given.outlets} != {keys.NONE}:
         raise given.refuse("site", "needs a low outlet, as in site_valve.yaml, or outlets: [none]")
-    window, runs = _read_runs(given, site, notes)
+    runs = _read_runs(given, site, notes)
     listed, flows = list_buildings(given, notes), list_flows(given)
     drawn = [make_buildings(given, site, listed, draw) for draw in range(given.draws)]
     rows, made = list[dict[str, Any]](), list[pl.DataFrame]()
@@ -227,7 +218,7 @@ def district(
             rows += [{"draw": draw + 1, "season": season} | row for row in own]
     means = pl.concat(made).group_by("id").mean()
     result = DistrictResult(
-        given, site, window, pl.DataFrame(rows, infer_schema_length=None).fill_nan(None),
+        given, site, pl.DataFrame(rows, infer_schema_length=None).fill_nan(None),
         drawn[0].drop("line", "group").join(means, on="id", maintain_order="left").fill_nan(None),
         pl.DataFrame(), list(dict.fromkeys(notes)),
     )
@@ -235,13 +226,8 @@ def district(
     return replace(result, assumptions=tested)
 
 
-def _read_runs(
-    given: keys.District, site: Site, notes: list[str]
-) -> tuple[str, dict[str, Run]]:
-    """Return the simulated days in words, and the run of the site in each season.
-
-    Seasons that are incomplete are left out and noted.
-    """
+def _read_runs(given: keys.District, site: Site, notes: list[str]) -> dict[str, Run]:
+    """Return the run of the site in each season; incomplete ones are left out and noted."""
     weather = given.weather
     try:
         inputs = make_inputs(find_controller("onoff"), {
@@ -251,23 +237,16 @@ def _read_runs(
         records, _ = inputs.read_records(site)
         contents, *others = as_lines(summarize(records, site))
         notes += [f"{records.source}: {contents}", *others]
-        if weather.start is None:
-            days = read_window(weather.season, site)
-            window, (runs, gaps) = f"{days}", find_seasons(inputs, site, records, days)
-            notes += [f"season {each} is left out: {why}" for each, why in gaps.items()]
-        else:
-            run = replace(inputs, weather=records, start=weather.start, hours=weather.hours).build()
-            window, runs = f"{weather.hours:g} h", {f"{run.start:%Y-%m-%d}": run}
+        runs, gaps = find_seasons(inputs, site, records, read_window(weather.season, site))
+        notes += [f"season {each} is left out: {why}" for each, why in gaps.items()]
     except ConfigurationError as error:
         if error.file is not None or not hasattr(weather, error.key or ""):
             raise
         raise given.refuse(f"weather.{error.key}", error.expected, error.value) from None
     notes += list_notes(runs, site)
     notes += [note for run in runs.values() for note in run.forecast.notes]
-    choice = ForecastChoice(
-        PERFECT if given.forecast == keys.NO_FORECAST else given.forecast, seed=given.seed
-    )
-    return window, {name: replace(run, forecast_choice=choice) for name, run in runs.items()}
+    choice = ForecastChoice(given.forecast, seed=given.seed)
+    return {name: replace(run, forecast_choice=choice) for name, run in runs.items()}
 
 
 def _test(
@@ -280,12 +259,13 @@ def _test(
     for end in (None, *list_ends(site)) if flow.adoption and sites else ():
         words, change, own = {"assumption": "as used", "value": ""}, dict[str, Any](), runs
         if end is not None:
-            (name, label, *_), value, changed = end
+            (name, label, *_), value, changed_site = end
             words = {"assumption": f"{label}; used: {getattr(site, name):g}", "value": f"{value:g}"}
             change = {name: value}
             if name == "k_Rs":  # evapotranspiration depends on it
-                _, own = _read_runs(given, changed, [])
-        for run in own.values() if not {*change} & {*buildings.columns} else ():
+                own = _read_runs(given, changed_site, [])
+        for season, run in own.items() if not {*change} & {*buildings.columns} else ():
             run = replace(run, site=replace(run.site, **change))
-            changed_sites = [replace(each, **change) for each in sites]
-            yield words | Scene(given, buildings, changed_sites, run, [flow], jobs).add(flow)
+            changed = [replace(each, **change) for each in sites]
+            scene = Scene(given, buildings, changed, run, [flow], jobs)
+            yield words | {"season": season} | scene.add(flow)

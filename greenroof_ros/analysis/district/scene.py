@@ -13,7 +13,7 @@ import numpy as np
 import polars as pl
 
 from greenroof_ros.analysis.district import file as keys
-from greenroof_ros.analysis.district.buildings import GROUP, ID, LOW_OUTLET, Values, refuse_building
+from greenroof_ros.analysis.district.buildings import GROUP, ID, Values, refuse_building
 from greenroof_ros.analysis.references import find_peak
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.controllers.onoff import LEVEL
@@ -24,8 +24,6 @@ from greenroof_ros.simulation.season import Case, simulate_season
 from greenroof_ros.site.file import check_site
 from greenroof_ros.site.site import WITHOUT_VALVE, Site
 
-PEAK_MIN = (5, 15, 60)
-"""times over which the flow is averaged for a peak (min)"""
 METRICS = (
     "discharge_m3", "wet_discharge_m3", "overflow_m3", "pumped_m3", "mains_m3", "stress_hours"
 )
@@ -38,12 +36,6 @@ class Flow(NamedTuple):
 
     outlet: str
     adoption: float
-
-    @property
-    def name(self) -> str:
-        """Name of the flow: ``as_is``, or ``drain_050`` for half of the buildings."""
-        return f"{self.outlet}_{100 * self.adoption:03g}" if self.adoption else "as_is"
-
 
 AS_IS = Flow(keys.NONE, 0.0)
 """no building has a green roof or a cistern"""
@@ -109,8 +101,7 @@ class Scene:
                 Case(
                     *_equip(district, outlet, buildings.row(place, named=True), sites[place]),
                     run, sites[place].a1 * sites[place].z_o / 2, sites[place].x2_star,
-                    district.forecast != keys.NO_FORECAST,
-                    int(self._groups[place]),
+                    group=int(self._groups[place]),
                 ) for place in adopting
             ], threads=threads, progress=report)
             values = np.full((len(METRICS), len(sites)), np.nan)
@@ -146,18 +137,12 @@ class Scene:
                 "wet_discharge_m3": volumes[self.wet].sum(), "wet_discharge_reduction":
                 1 - volumes[self.wet].sum() / as_is[self.wet].sum(),
             }
-        for minutes in PEAK_MIN:
-            peak = 1000 * find_peak(volumes, self.durations, minutes)
-            row |= {f"peak_{minutes}min_l_s": peak,
-                    f"peak_{minutes}min_mm_h": HOUR_S * peak / area}
-        if (capacity := self.district.sewer_capacity) is not None:
-            beyond = volumes - capacity / 1000 / HOUR_S * area * self.durations
-            over = beyond > _NOTHING
-            row |= {
-                "sewer_overflow_m3": beyond[over].sum(),
-                "dry_sewer_overflow_m3": beyond[over & ~self.wet].sum(),
-            }
+        beyond = volumes - self.district.sewer_capacity / 1000 / HOUR_S * area * self.durations
+        over = beyond > _NOTHING
         return row | {
+            "sewer_overflow_m3": beyond[over].sum(),
+            "dry_sewer_overflow_m3": beyond[over & ~self.wet].sum(),
+        } | {
             name: np.nansum(self.metrics[f"{flow.outlet}:{name}"][adopts]) if adopts.any() else 0.0
             for name in ("overflow_m3", "pumped_m3", "mains_m3")
         }
@@ -172,11 +157,11 @@ def _equip(
 ) -> tuple[Site, dict[str, Any]]:
     """Return a building's site with a kind of outlet, and the parameters of its controller."""
     given = {name: building[name] for name in keys.POLICY_KEYS if name in building}
-    if outlet not in (keys.NONE, keys.ORIFICE) and building[LOW_OUTLET]:
+    if outlet not in (keys.NONE, keys.ORIFICE):
         given["outlet"] = outlet
     else:
         changes: dict[str, Any] = dict.fromkeys(("low_outlet_level", "low_outlet_radius"))
-        if outlet != keys.NONE and building[LOW_OUTLET]:
+        if outlet == keys.ORIFICE:
             changes = {n: each for n, each in asdict(district.orifice).items() if each is not None}
         site = replace(site, **WITHOUT_VALVE, **changes)
         given = {name: value for name, value in given.items() if name == LEVEL.name}

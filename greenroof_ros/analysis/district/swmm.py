@@ -26,8 +26,6 @@ from greenroof_ros.analysis.district.scene import Scene
 from greenroof_ros.base.files import shared_directory
 
 TEMPLATE = shared_directory() / "config/swmm/combined_sewer.inp"
-# Capacity of a sewer that is not stated (mm/h) [assumed].
-_CAPACITY = 5.0
 
 
 def format_series(start: datetime, durations: Values, volumes: Values) -> str:
@@ -83,14 +81,14 @@ def route_scene(directory: Path, scene: Scene, rows: Sequence[dict[str, Any]]) -
     for flow, row in zip(scene.flows, rows, strict=True):
         if flow.adoption not in (0, scene.flows[-1].adoption):
             continue
-        series = scene.group_discharges(flow)
-        files = [f"{flow.name}_{number}.dat" for number in range(1, len(series) + 1)]
+        series, name = scene.group_discharges(flow), f"{flow.outlet}_{100 * flow.adoption:03g}"
+        files = [f"{name}_{number}.dat" for number in range(1, len(series) + 1)]
         for file, volumes in zip(files, series, strict=True):
             (directory / file).write_text(format_series(scene.start, scene.durations, volumes))
-        model = directory / f"{flow.name}.inp"
+        model = directory / f"{name}.inp"
         model.write_text(format_network(
             start=scene.start, end=end, series=files, area=scene.areas.sum(),
-            capacity=scene.district.sewer_capacity or _CAPACITY,
+            capacity=scene.district.sewer_capacity,
         ))
         row |= run_network(model)
 

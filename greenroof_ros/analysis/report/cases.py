@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import polars
 
-from greenroof_ros.analysis.report.runs import BOUNDS, MAINS, TOTAL, WET, Sources
-from greenroof_ros.analysis.tables import COLUMNS
-from greenroof_ros.base.errors import ConfigurationError
+from greenroof_ros.analysis.report.runs import Sources
+from greenroof_ros.analysis.tables import BOUNDS, COLUMNS, TOTAL, choose_metrics
 from greenroof_ros.results.forked_polars import make_frame
 
 # Metrics of which more is better.
@@ -32,15 +31,9 @@ class Report:
     """
 
     def __init__(self, sources: Sources) -> None:
-        """Group and compare the runs.
-
-        Raises:
-            ConfigurationError: if a study shows a metric that does not exist.
-        """
-        valves = any(run.site.low_outlet_valve and run.site.mains_level for run in sources.runs)
-        self.sources, show = sources, sources.show or ([WET, MAINS] if valves else [TOTAL])
-        if unknown := {*show} - {*COLUMNS}:
-            raise ConfigurationError("is not a metric", key="show", value=min(unknown))
+        """Group and compare the runs."""
+        self.sources = sources
+        show = sources.show or choose_metrics(run.site for run in sources.runs)
         keys = "case", *COLUMNS, *BOUNDS.values()
         windows, states = ({run.row[key] for run in sources.runs} for key in ("window", "initial"))
         rows = make_frame([{

@@ -1,4 +1,4 @@
-"""The figures of a report: the comparison of cases, their seasons, and runs over time."""
+"""The figures of a report: the comparison of cases and their seasons, and runs over time."""
 
 from __future__ import annotations
 
@@ -10,47 +10,33 @@ import polars
 
 from greenroof_ros.analysis import figures
 from greenroof_ros.analysis.report.cases import Report
-from greenroof_ros.analysis.report.runs import BOUNDS
 from greenroof_ros.analysis.report.trajectories import draw_over_time
-from greenroof_ros.analysis.tables import COLUMNS
+from greenroof_ros.analysis.tables import BOUNDS, COLUMNS
 
-# With more cases than colours, only the best ones are drawn over years and over time.
+# With more cases than colours, only the best ones are drawn over time.
 _MAX_CASES = len(figures.COLOURS)
-# Places whose runs are drawn over time.
-_MAX_PLACES = 2
 
 
 def make_figures(report: Report) -> Iterator[figures.Figure]:
-    """Yield the figures, for places with several cases, seasons or trajectories.
+    """Yield the figures: of the places with several runs, and of the first one over time.
 
     Raises:
         ConfigurationError: if the trajectory of a run cannot be read.
     """
-    if compared := [_compare(place, report) for place in report.places if len(place) > 1]:
+    if compared := [_compare(each, report) for each in report.places if each["runs"].sum() > 1]:
         yield figures.Figure(
-            "comparison", "Comparison of the cases",
-            "Points are means; lines extend from the lowest to the highest run", tuple(compared),
+            "comparison", "Comparison of the cases", "Large points are means, small ones seasons; "
+            "lines extend from the lowest to the highest run", tuple(compared),
             min(len(compared), 2),
         )
-    years = report.years.drop_nulls("year")
-    best = [place.head(_MAX_CASES) for place in report.places]
-    if seasons := [
-        _draw_seasons(place, years, report.show[0]) for place in best
-        if place["place"][0] in years["place"]
-    ]:
-        yield figures.Figure(
-            "seasons", "Season by season", "Means over the random seeds of each year",
-            tuple(seasons), min(len(seasons), 2),
-        )
-    for number, place in enumerate(best[:_MAX_PLACES], start=1):
-        runs = {
-            case: (run.site, trajectory)
-            for case, first in place.filter(runs=1).select("case", "first").rows()
-            if (trajectory := (run := report.sources.runs[first]).trajectory()) is not None
-        }
-        if runs:
-            title = f"Rain, levels and flows, {place['place'][0]}".removesuffix(", ")
-            yield figures.Figure(f"time-{number}", title, "", tuple(draw_over_time(runs)), 2)
+    best = report.places[0].head(_MAX_CASES).filter(runs=1)
+    runs = {
+        case: (run.site, trajectory) for case, first in best.select("case", "first").rows()
+        if (trajectory := (run := report.sources.runs[first]).trajectory()) is not None
+    }
+    if runs:
+        title = f"Rain, levels and flows, {best['place'][0]}".removesuffix(", ")
+        yield figures.Figure("time", title, "", tuple(draw_over_time(runs)), 2)
 
 
 def _compare(place: polars.DataFrame, report: Report) -> figures.Panel:
@@ -61,24 +47,18 @@ def _compare(place: polars.DataFrame, report: Report) -> figures.Panel:
     if None not in bound:
         rows.append({"case": "minimum possible", x: bound[0], y: bound[1]})
     points = figures.distinguish_series("case", [row["case"] for row in rows], points=True)
+    years = report.years.drop_nulls(["year", x, y]).filter(place=place["place"][0])
     base = alt.Chart(alt.InlineData(rows)).encode(
         x=_axis(alt.X, x), y=_axis(alt.Y, y), color=points["color"]
     )
     return figures.Panel(alt.layer(
         base.mark_rule(opacity=0.5).encode(x=f"{x}_min:Q", x2=f"{x}_max:Q"),
         base.mark_rule(opacity=0.5).encode(y=f"{y}_min:Q", y2=f"{y}_max:Q"),
+        base.mark_point(opacity=0.5, size=15).encode(shape=points["shape"]).properties(
+            data=alt.InlineData(years.select("case", x, y).to_dicts())
+        ),
         base.mark_point(filled=True, opacity=1, size=80).encode(**points),
     ), place["place"][0], 280)
-
-
-def _draw_seasons(place: polars.DataFrame, years: polars.DataFrame, metric: str) -> figures.Panel:
-    """Plot a metric over the years."""
-    rows = place.select("place", "case").join(years, on=("place", "case"))
-    chart = alt.Chart(alt.InlineData(rows.select("case", "year", metric).to_dicts()))
-    return figures.Panel(chart.mark_line(point=True).encode(
-        x=alt.X("year:O", title="season", axis=alt.Axis(labelAngle=0)), y=_axis(alt.Y, metric),
-        **figures.distinguish_series("case", place["case"].to_list()),
-    ), place["place"][0], 220)
 
 
 def _axis(axis: Any, metric: str) -> Any:

@@ -8,18 +8,17 @@ from collections.abc import Mapping, Sequence
 from textwrap import shorten
 from typing import Any
 
-from greenroof_ros.analysis.assumptions import list_ends
+from greenroof_ros.analysis.assumptions import list_assumptions
 from greenroof_ros.analysis.figures import Figure
-from greenroof_ros.analysis.page import Part, Section, make_page
+from greenroof_ros.analysis.page import Section, make_page
 from greenroof_ros.analysis.report.cases import Report, rank
-from greenroof_ros.analysis.report.runs import BOUNDS, WET
-from greenroof_ros.analysis.tables import COLUMNS, Table, write, write_range
+from greenroof_ros.analysis.tables import BOUNDS, COLUMNS, WET, Table, write, write_range
 from greenroof_ros.base.text import number_of
 from greenroof_ros.results.metrics import METRICS
 
 # Water that enters the sewer in dry weather is not kept out of it.
 _BESIDE = {WET: ("discharge_m3", "retention_share")}
-# With more cases than this, only results.csv contains all results.
+# With more cases than this, only results.csv contains the results of the others.
 _MAX_CASES = 8
 # Longer notes are cut; results.csv and summary.json contain all of them.
 _MAX_NOTE = 160
@@ -40,8 +39,8 @@ def render(report: Report, figures: Sequence[Figure]) -> str:
     sections = [
         Section(failed.caption, [failed] * bool(failed.rows)),
         Section("Results", [make_table(report, _columns(report)), *figures]),
-        Section("All results", [make_full_table(report)]),
-        Section("What it rests on", [make_notes(report), _list_assumptions(report)]),
+        Section("All results", [make_full_table(report)], folded=True),
+        Section("What it rests on", [make_notes(report), _tabulate_assumptions(report)]),
         Section("What was read", [report.sources.read], folded=True),
         Section("How it was made", [
             "Each run is a simulation of the site, tick by tick, or a recording. The result of a "
@@ -57,11 +56,7 @@ def answer(report: Report) -> str:
     """Return the answer: the best cases, what one of them achieves, and what the runs cover."""
     runs, name, won = report.sources.runs, report.show[0], dict[str, list[str]]()
     for place in report.places:
-        best, *others = place.to_dicts()
-        shown = [[_write(case, each) for each in report.show] for case in (best, *others)]
-        equal = shown.count(shown[0]) - 1
-        winner = best["case"] + f" and {number_of(equal, 'equal case')}" * (equal > 0)
-        won.setdefault(winner, []).append(best["place"])
+        won.setdefault(place["case"][0], []).append(place["place"][0])
     best, *others = report.places[0].to_dicts()
     winners = ", ".join(
         case + f" ({'; '.join(places)})" * bool(places[0]) for case, places in won.items()
@@ -75,14 +70,9 @@ def answer(report: Report) -> str:
         f"With {case['case']}: {_write(case, name)}" for case in others
         if case["case"] == runs[0].row["case"]
     ]
-    sites = {run.row["site"]: run.site for run in runs}
-    points = {f"{site.latitude}, {site.longitude}" for site in sites.values()} - {"None, None"}
     years = report.years["year"].drop_nulls()
-    return ". ".join([*sentences, ", ".join([
-        f"Covered: {' and '.join(sites) if len(sites) < 3 else number_of(len(sites), 'site file')}",
-        *[f"latitude and longitude {'; '.join(sorted(points))}"] * bool(points),
-        *[f"seasons of {years.min()!r} to {years.max()!r}"] * bool(len(years)),
-    ])]) + "."
+    sentences += [f"Seasons of {years.min()!r} to {years.max()!r}"] * bool(len(years))
+    return ". ".join(sentences) + "."
 
 
 def _write(case: Mapping[str, Any], name: str) -> str:
@@ -126,11 +116,9 @@ def make_table(report: Report, names: Sequence[str]) -> Table:
     )
 
 
-def make_full_table(report: Report) -> Part:
-    """Return the table of all results, or where they are if there are too many cases."""
-    cases = [case for place in report.places for case in place.to_dicts()]
-    if len(cases) > _MAX_CASES:
-        return "All results of every run are in results.csv of the study."
+def make_full_table(report: Report) -> Table:
+    """Return the table of all results of the first cases."""
+    cases = [case for place in report.places for case in place.to_dicts()][:_MAX_CASES]
     labels = [f"{case['case']}, {case['place']}".rstrip(", ") for case in cases]
     return Table("Means (lowest to highest run)", ["result", *labels], [
         [COLUMNS[name].heading, *(write_range(case, name, COLUMNS[name]) for case in cases)]
@@ -153,7 +141,7 @@ def make_notes(report: Report) -> list[str]:
     ]
 
 
-def _list_assumptions(report: Report) -> Table:
+def _tabulate_assumptions(report: Report) -> Table:
     """Return the assumptions that matter, with both ends."""
     sites = dict.fromkeys(run.site for run in report.sources.runs)
     return Table(
@@ -162,6 +150,6 @@ def _list_assumptions(report: Report) -> Table:
             [each.label, f"{each.low:g}", ", ".join(
                 f"{value:g}" for value in sorted({getattr(site, each.name) for site in sites})
             ), f"{each.high:g}", each.source]
-            for each in dict.fromkeys(each for site in sites for each, *_ in list_ends(site))
+            for each in dict.fromkeys(each for site in sites for each in list_assumptions(site))
         ],
     )

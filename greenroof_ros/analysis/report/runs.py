@@ -14,6 +14,7 @@ from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
 
+from greenroof_ros.analysis.tables import BOUNDS, TOTAL
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.files import default_site_file, read_text, read_yaml
 from greenroof_ros.base.text import number_of
@@ -27,10 +28,6 @@ from greenroof_ros.results.trajectory import CSV, TRAJECTORY, Trajectory, read_t
 from greenroof_ros.simulation import summary
 from greenroof_ros.site.file import read_site
 from greenroof_ros.site.site import Site
-
-TOTAL, WET, MAINS = "total_deviation_m3", "wet_discharge_m3", "mains_m3"
-BOUNDS = {TOTAL: "bound_m3", WET: "bound_wet_discharge_m3", MAINS: "bound_mains_m3"}
-"""the columns of the minimum possible values, by metric"""
 
 _NEEDED = ("run", "site", "start", "initial", "status", "error", "window", "case", "season")
 _NUMBERS = {"fallbacks", *BOUNDS.values(), *(metric.name for metric in METRICS)}

@@ -16,7 +16,7 @@ import greenroof_ros as gr
 
 def test_command(tmp_path: Path) -> None:
     """Tables and page agree with each other, and with Python with one thread."""
-    write_district(tmp_path, edit("hours: 72", "hours: 24").replace("T00:00", "T20:00"))
+    write_district(tmp_path, edit("07-07/07-09", "07-08/07-08"))
     command = "district", "district.yaml", "--output", "out", "--jobs", "2"
     result = run_command(*command, cwd=tmp_path, env=dict(os.environ))
     assert result.returncode == 0, result.stderr

@@ -15,7 +15,6 @@ from places import CONFIG
 
 import greenroof_ros as gr
 from greenroof_ros.analysis.district.result import DistrictResult
-from greenroof_ros.analysis.district.scene import find_peak
 from greenroof_ros.controllers.registry import find_controller
 from greenroof_ros.simulation.inputs import make_inputs
 from greenroof_ros.simulation.loop import Simulation
@@ -64,20 +63,19 @@ def read_rain() -> NDArray[np.float64]:
 
 
 def test_sums_of_single_runs(simulated: DistrictResult) -> None:
-    """Half of the buildings with a green roof, half of these with a valve; the others as they are.
+    """Half of the buildings with a green roof, the others as they are.
 
     Each building is simulated alone, and the sums are made here.
     """
     rows, buildings = rows_of(simulated), simulated.buildings.to_dicts()
     assert sum(each["adopts_at"] <= 0.5 for each in buildings) == 4
-    assert sum(each["low_outlet"] for each in buildings if each["adopts_at"] <= 0.5) == 2
     for outlet in ("none", "orifice", "drain", "plan"):
         sums = dict.fromkeys(("discharge_m3", "wet_discharge_m3", "mains_m3", "pumped_m3"), 0.0)
         for building in buildings:
             rain = building["connected_area_m2"] * read_rain().sum() / 1000
             results: dict[str, Any] = {"discharge_m3": rain, "wet_discharge_m3": rain}
             if building["adopts_at"] <= 0.5:
-                results = simulate_alone(building, outlet if building["low_outlet"] else "none")
+                results = simulate_alone(building, outlet)
             for name in sums:
                 sums[name] += results.get(name) or 0.0
         row = rows[outlet, 0.5]
@@ -85,15 +83,6 @@ def test_sums_of_single_runs(simulated: DistrictResult) -> None:
         for name, value in sums.items():
             assert row[name] == pytest.approx(value, rel=1e-6), (outlet, name)
         assert row["retention_share"] == pytest.approx(1 - sums["discharge_m3"] / row["rain_m3"])
-
-
-def test_peak() -> None:
-    """A moving mean, second by second; before and after the run nothing flows."""
-    volumes = np.random.default_rng(7).choice([0.0, 0.0, 1.0, 5.0], 40)
-    flow = np.repeat(volumes / 90, 90)
-    for seconds in (300, 900, 3600):
-        expected = np.convolve(flow, np.ones(seconds)).max() / seconds
-        assert find_peak(volumes, np.full(40, 90.0), seconds / 60) == pytest.approx(expected)
 
 
 def test_valves_that_are_too_large_together(simulated: DistrictResult) -> None:
@@ -105,14 +94,12 @@ def test_valves_that_are_too_large_together(simulated: DistrictResult) -> None:
 
 
 def test_no_green_roof(simulated: DistrictResult) -> None:
-    """All rain runs off at once, in wet weather; its peak and its excess are those of the rain."""
+    """All rain runs off at once, in wet weather; its excess is that of the rain."""
     row, hourly = rows_of(simulated)["none", 0.0], read_rain()
     area = simulated.buildings["connected_area_m2"].sum() / 1000
     for name in ("rain_m3", "discharge_m3", "wet_discharge_m3"):
         assert row[name] == pytest.approx(hourly.sum() * area)
     assert row["buildings"] == row["retention_share"] == 0
-    for minutes in (5, 60):
-        assert row[f"peak_{minutes}min_mm_h"] == pytest.approx(hourly.max())
     excess = np.maximum(hourly - 2.0, 0.0).sum()
     assert excess > 10
     assert row["sewer_overflow_m3"] == pytest.approx(excess * area)
@@ -126,7 +113,7 @@ def test_seasons_and_draws(tmp_path: Path) -> None:
         f"{'' if year == 2022 and 100 <= n < 200 else (year - 2019) * (n % 50 == 0)},3\n"
         for year in (2020, 2021, 2022) for n in range(240)
     ))
-    text = edit(f"file: {WEATHER}, start: 2021-07-07T00:00, hours: 72",
+    text = edit(f"file: {WEATHER}, season: 07-07/07-09",
                 "file: record.csv, season: 06-02/06-09, gaps: fill").replace("draws: 1", "draws: 2")
     result = simulate(tmp_path, text)
     rows = result.all_rows.filter(outlet="plan", adoption=1.0)

@@ -24,9 +24,7 @@ def test_bound_next_to_each_run(papers: Path) -> None:
     bounds = {row["initial"]: float(row["bound_m3"]) for row in rows}
     assert bounds["low-low"] == pytest.approx(4422, abs=1)
     for row in rows:
-        ratio = float(row["total_deviation_m3"]) / bounds[row["initial"]]
-        assert float(row["ratio_to_bound"]) == ratio
-        assert ratio > 1 - 1e-9
+        assert float(row["total_deviation_m3"]) / bounds[row["initial"]] > 1 - 1e-9
 
 
 @pytest.fixture
@@ -60,7 +58,6 @@ def test_killed_and_gone_on(finished: Path) -> None:
         time.sleep(chance.uniform(0, 1))
         process.kill()
         process.communicate()
-    (killed / "out" / "runs" / "cut-short.part").mkdir()
     there = {run / "outcome.json": (run / "outcome.json").stat() for run in stored(killed)}
     result = study(killed, name, "--output", "out")
     assert result.returncode == 0, result.stderr
@@ -155,7 +152,7 @@ def test_a_full_disk_is_named(tmp_path: Path, what: str) -> None:
     full.parent.mkdir(exist_ok=True)
     full.symlink_to("/dev/full")
     write = {
-        "outcome": lambda: store.write_outcome(store.cases[0], Outcome({}, {})),
+        "outcome": lambda: store.write_outcome(store.cases[0], Outcome({}, None)),
         "bounds": lambda: store.write_bound("a bound", {}),
         "results": store.write_table,
     }[what]

@@ -15,7 +15,7 @@ from places import DATA
 from refusals import refusal
 from studies import CONFIG, GRID, WEATHER, cases_of, edit_grid, grid, run_here, write_inputs
 
-from greenroof_ros.analysis.case import bound_deviation, run_case
+from greenroof_ros.analysis.case import run_case
 from greenroof_ros.analysis.grid import read_grid
 from greenroof_ros.base.parameter import parameters_of
 from greenroof_ros.forecast.issue import read_archive
@@ -33,14 +33,13 @@ WRONG = {
     "site-kind": (edit_grid(SITE, "site: [10]"), "line 2: site: must be a mapping with the key f"),
     "site-value": (  # the error is in the grid, not in the site file with the value
         edit_grid(SITE, "site: {file: site.yaml, tau: [1.0, 0.0]}"),
-        "grid.yaml, line 2: site.yaml with these values: tau = 0.0",
+        "grid.yaml, line 2: tau = 0.0",
     ),
     "no-file": (edit_grid("site.yaml", "absent.yaml"), "line 2: file"),
     "year": (edit_grid(HOURS, f"{HOURS}    year: {{from: 1}}\n"), "year: must be a range of whole"),
     "parameter": (edit_grid("weight", "weights"), "line 11: weights = 0.001"),
     "value": (edit_grid("0.1]", "-0.1]"), "line 11: weight = -0.1"),
-    "metric": (GRID + "show: [mains]\n", "line 14: show: mains is no metric; did you mean mains_m"),
-    "block": (GRID + "bound_block: 1.5\n", "line 14: bound_block = 1.5: must be a whole number"),
+    "metric": (GRID + "show: [mains]\n", "line 14: show = 'mains': is no metric; did you mean"),
 }
 
 
@@ -257,19 +256,6 @@ def test_each_input_makes_another_case(tmp_path: Path) -> None:
     assert replace(usual, files=dict.fromkeys(usual.files, "another")).identity != usual.identity
 
 
-def test_seconds_of_the_bound(tmp_path: Path) -> None:
-    """Another block gives another bound for the same runs; 0 asks for none."""
-    usual = cases_of(tmp_path / grid(tmp_path))[0]
-    read = read_grid(tmp_path / grid(tmp_path, GRID + "bound_block: 600\n"))
-    ten = read.cases[0]
-    assert usual.identity == ten.identity and not usual.bounds.keys() & ten.bounds.keys()
-    # With larger blocks that are whole multiples it is never higher (Jensen's inequality).
-    write_inputs(read.files.contents, tmp_path)
-    least, most = (bound_deviation(tmp_path, case)["bound_m3"] for case in (ten, usual))
-    assert 0 < least <= most
-    assert not cases_of(tmp_path / grid(tmp_path, GRID + "bound_block: 0\n"))[0].bounds
-
-
 def test_names_of_files(tmp_path: Path) -> None:
     """Next to the grid first, then the package's config/."""
     text = GRID.replace(str(CONFIG / "site.yaml"), "site.yaml")
@@ -289,7 +275,7 @@ def test_gaps_of_a_window(tmp_path: Path) -> None:
     file = tmp_path / grid(tmp_path, july)
     refusal(read_grid, file, match="is missing at 2022-07-21T11:00-05:00")
     july = july.replace("hours: 0.25", "hours: 0.02\n    gaps: fill")
-    rows = run_here(tmp_path, f"{july}bound_block: 0\n").write_table()
+    rows = run_here(tmp_path, f"{july}show: [pumped_m3]\n").write_table()
     for row in rows:
         assert (row["gaps"], row["evapotranspiration"], row["rain_m3"]) == ("fill", "fao56", 0)
         assert "precipitation is missing at 2022-07-21T11:00-05:00" in row["weather_notes"]
@@ -304,7 +290,7 @@ def test_minimum_discharge_of_a_site_with_a_valve(tmp_path: Path) -> None:
 site: {{file: {CONFIG / "site_valve.yaml"}, tau: 300.0, M: 1}}
 weather: {{file: {WEATHER}, start: 2021-07-07T02:00, hours: 24, evapotranspiration: published}}
 initial: {{name: full, cistern: 9.9, roof: 2.6}}
-bound_block: 0
+show: [wet_discharge_m3]
 controllers:
   onoff: {{outlet: [closed, drain, plan]}}
   anticipating_onoff: {{outlet: plan}}

@@ -10,7 +10,7 @@ from studies import WEATHER, archive, cases_of, grid, record, rows_of, run_here
 
 from greenroof_ros.analysis.names import name_cases, tell_apart
 
-# Windows, forecasts, errors and settings: files with one name in two folders, and numbers that
+# Windows, forecasts and settings: files with one name in two folders, and numbers that
 # differ in late digits.
 VARIED = """
 site: [north/site.yaml, south/site.yaml]
@@ -20,20 +20,16 @@ weather:
   - {file: north/storm.csv, start: 2021-07-07T02:00:01, hours: 0.01, evapotranspiration: published}
   - {file: north/storm.csv, start: 2021-07-07T02:00, hours: 0.01027777777777778}
   - {file: south/storm.csv, start: 2021-07-07T02:00, hours: 0.01}
-  - file: north/storm.csv
-    start: 2021-07-07T02:00
-    hours: 0.01
-    forecast: [north/archive.csv, south/archive.csv,
-               {model: errors, skill: [real, none], seed: [1, 2]}]
+forecast: [north/archive.csv, south/archive.csv,
+           {model: errors, skill: [real, none], seed: [1, 2]}]
 initial: low-low
-sensor_and_pump: [{roof_noise: 0.0005}, {roof_noise: 0.00050000001}]
 controllers:
   mpc: {weight: [0.001, 0.0010000001], max_command: 1.0}
   onoff: {fraction: 0.5}
 """
-# Without forecasts, onoff runs once a window. The window of the forecasts is that of the second.
+# On/off control uses no forecast.
 WINDOWS = 2 * (2 + 1 + 1 + 1)
-RUNS = 2 * 2 * ((2 + 1 + 1 + 1 + 2 + 4) * 2 + 2 + 1 + 1 + 1)
+RUNS = WINDOWS * (2 * (2 + 4) + 1)
 
 
 def test_no_name_occurs_twice(tmp_path: Path) -> None:
@@ -91,27 +87,26 @@ controllers:
 
 
 def test_the_seasons_of_several_years(tmp_path: Path) -> None:
-    """A week or more in two years is one window, of each city; with its own 29 February."""
+    """The same days of two years are one window, of each city."""
     for city in ("here", "there"):
         (tmp_path / city).mkdir()
         record(tmp_path / city / "record", (2015, 2016))
     grid(tmp_path, """
 site: {file: site.yaml, tau: 600.0}
 weather:
-  - {file: "here/record/{year}_*.csv", start: "{year}-05-01T00:00", year: [2015, 2016],
+  - {file: "here/record/*.csv", start: "{year}-05-01T00:00", year: [2015, 2016],
      hours: [168, 24], evapotranspiration: fao56}
-  - {file: "there/record/{year}_*.csv", start: "{year}-05-01T00:00", year: [2015, 2016], hours: 168,
+  - {file: "there/record/*.csv", start: "{year}-05-01T00:00", year: [2015, 2016], hours: 168,
      evapotranspiration: fao56}
   - {file: "here/record/2015_*.csv", start: 2015-05-02T00:00, hours: 168, evapotranspiration: fao56}
-bound_block: 0
 initial: low-low
 controllers: {onoff: , mpc: {forecast: {model: errors, seed: [1, 2]}}}
 """)
     names = name_cases(cases_of(tmp_path / "grid.yaml"))
     assert {name["season"] for name in names} == {"from 01 May 00:00", ""}
     of_cities = Counter(name["window"] for name in names if name["season"])
-    assert [*of_cities.values()] == [2 * 3] * 2
-    assert len({name["window"] for name in names}) == 2 + 2 + 1
+    assert [*of_cities.values()] == [2 * 3] * 3
+    assert len({name["window"] for name in names}) == 3 + 1
     assert {name["case"] for name in names} == {"onoff", "mpc"}
 
 
@@ -126,7 +121,6 @@ def test_a_leap_year_does_not_take_the_last_day_of_a_season(tmp_path: Path) -> N
 site: {file: site.yaml, tau: 3600.0, M: 1, utc_offset: 0.0, monthly_evapotranspiration:
        [[1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1]]}
 weather: {file: rain.csv, year: [2015, 2016], start: "{year}-02-20T00:00", hours: 480, gaps: fill}
-bound_block: 0
 initial: low-low
 controllers: {onoff: }
 """))
