@@ -35,7 +35,7 @@ Values = NDArray[np.float64]
 
 # What a command from outside does not change, instead of the parameters of on/off control.
 _PARAMETERS = {"fraction": 0.0, "level": 0.0}
-_CONTROL = Control(0.0, math.inf, -math.inf, 1.0, 1.0)
+_CONTROL = Control(0.0, math.inf, -math.inf, 1.0, 1.0, 1.0)
 # Ticks that are read together, and number of sites that are worth threads.
 _BLOCK, _MIN_SITES = 1024, 64
 

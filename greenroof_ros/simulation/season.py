@@ -44,6 +44,7 @@ from greenroof_ros.simulation.run import Run
 from greenroof_ros.site.horizon import look_ahead_ends
 from greenroof_ros.site.site import Site
 from greenroof_ros.weather.evapotranspiration import COMPUTED
+from greenroof_ros.weather.series import constant_demand
 
 Values = NDArray[np.float64]
 
@@ -106,6 +107,8 @@ class Control(NamedTuple):
     without a valve; or the opening itself, a share from 0 to 1"""
     bed: float
     """area to which the weather's evapotranspiration applies (m2)"""
+    other_demand: float
+    """factor of what other uses need in the ticks"""
 
 
 class Ticks(NamedTuple):
@@ -129,7 +132,7 @@ class Ticks(NamedTuple):
     new_day: Any
     """whether each tick is the first of a day of the clock"""
     other: Any
-    """water that other uses than the roof need (m3/s)"""
+    """water that other uses than the roof need (m3/s); 1 if this is the same all year"""
     errors: Any
     """error of the roof's sensor in every run (m), shape (ticks,), or (0,) without errors"""
 
@@ -222,7 +225,8 @@ def run_ticks(
             if frozen and p.valve_closed_in_frost:
                 outlet = 0.0
             opening = move_valve(valve, p.tau, outlet)
-            after, flows = step(p, now, falls, demand, switched, opening, OWN_PUMPS, other[n])
+            needed = other[n] * c.other_demand
+            after, flows = step(p, now, falls, demand, switched, opening, OWN_PUMPS, needed)
             observe_pump(switch, flows.pump)
             if len(kept) > 0 and (k % every == 0 or k == steps):
                 values = kept[(k + every - 1) // every]
@@ -309,7 +313,7 @@ def simulate_season(
         plans = case.parameters.get("outlet") == PLAN
         key = (
             plans, case.with_forecast, id(case.run), site.wet_after, site.zone, site.quiet_hours,
-            site.monthly_other_demand,
+            site.monthly_other_demand if case.run.series.demand_varies(site) else None,
         )
         together.setdefault(key, []).append(row)
     intervals = -(-steps // int(plant_parameters(cases[0].site).interval_ticks))
@@ -384,10 +388,12 @@ class Season:
         ])
         plants = [plant_parameters(case.site) for case in cases]
         self._wet_after = plants[0].wet_after_s
+        self._demand_varies = run.series.demand_varies(site)
         self._ends = look_ahead_ends(run.site, 0.0, HORIZON_H)
         controls = [Control(
             case.parameters["fraction"], case.parameters["level"] * case.site.z_veg,
             plant.suction_level, POLICIES.index(case.parameters.get("outlet", OPEN)), bed,
+            1.0 if self._demand_varies else constant_demand(case.site),
         ) for case, plant, bed in zip(cases, plants, beds, strict=True)]
         groups = np.array([case.group for case in cases])
         events = s.count_events(plants[0], run.steps) if total == 1 else 0
@@ -423,6 +429,8 @@ class Season:
                 self._as_taken(rain), site.tau, self._wet_after, without_rain
             )
             new_day = np.isin(np.arange(first, last), new_days)
+            if not self._demand_varies:
+                other = np.ones(last - first)
             values = rain, evaporated / self._bed, frost, np.asarray(wet), quiet, new_day, other
             block = Ticks._make((first, *map(self._as_taken, (
                 *(each[np.newaxis] for each in values), self.errors[first:last],

@@ -257,6 +257,11 @@ class WeatherSeries:
             litres = np.array(site.monthly_other_demand)[months] / 24
         return replace(self.frost, values=litres / 1000 / 3600)
 
+    def demand_varies(self, site: Site) -> bool:
+        """Return whether other uses than the roof of a site do not need the same all year."""
+        months = site.monthly_other_demand
+        return months is not None and (OTHER_DEMAND in self._part.values or len({*months}) > 1)
+
     def at(self, tick: int) -> Hour:
         """Return the weather of a tick, and the tick until which it remains constant."""
         until = min(
@@ -268,6 +273,11 @@ class WeatherSeries:
             0.0 if self._other_demand is None else self._other_demand[tick],
             int(until) if tick < until else len(self.precipitation),
         )
+
+
+def constant_demand(site: Site) -> float:
+    """Return what other uses than the roof need (m3/s) if they need the same all year."""
+    return (site.monthly_other_demand or (0.0,))[0] / 24 / 1000 / 3600
 
 
 def rain_per_tick(weather: Weather, offset_ns: int, tick_ns: int, ticks: range) -> PerTick:

@@ -14,11 +14,14 @@ from greenroof_ros.controllers import outlet
 from greenroof_ros.controllers.onoff import LEVEL
 from greenroof_ros.forecast.choice import ERRORS, MODELS
 from greenroof_ros.site.file import SITE_KEYS
+from greenroof_ros.weather.climate import Climate
 from greenroof_ros.weather.series import GAPS, REFUSE
 
-NONE, ORIFICE, DRAIN, PLAN = OUTLETS = ("none", "orifice", outlet.DRAIN, outlet.PLAN)
-"""ways to empty the cisterns: the overflow alone; an orifice that is always open; a valve with one
-of two policies"""
+ROOF, NONE, ORIFICE, DRAIN, PLAN = OUTLETS = (
+    "roof", "none", "orifice", outlet.DRAIN, outlet.PLAN,
+)
+"""a green roof without cistern and irrigation, or ways to empty a cistern: the overflow alone; an
+orifice that is always open; a valve with one of two policies"""
 POLICY_KEYS = {each.name: each for each in (LEVEL, *outlet.PARAMETERS) if each.name != "outlet"}
 """parameters of the pump's controller and of the valve, whose kind the district file chooses"""
 # Numbers that all buildings share: weather, clock, and valves.
@@ -49,8 +52,8 @@ class Draw:
     )
 
 
-@dataclass(frozen=True)
-class DistrictWeather:
+@dataclass(frozen=True, kw_only=True)
+class DistrictWeather(Climate):
     """The weather, and the days that are simulated in every year."""
 
     file: str = entry("weather file, or glob pattern such as '2021_*.csv', for all buildings")
@@ -98,7 +101,8 @@ class District:
     )
     tau: float = entry("duration of a tick", 1.0, 300.0, unit="s", default=60.0)
     outlets: tuple[str, ...] = entry(
-        "types of outlet to simulate; 'none' is always included", choices=OUTLETS, default=OUTLETS
+        "types of outlet to simulate; roof is a green roof without irrigation and cistern, and "
+        "none is always included", choices=OUTLETS, default=OUTLETS
     )
     orifice: Orifice = entry("orifice that replaces the valve, by default as low and as large",
                              factory=Orifice)

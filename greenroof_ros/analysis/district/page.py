@@ -8,8 +8,9 @@ from typing import Any
 import altair as alt
 import polars as pl
 
-from greenroof_ros.analysis.district.file import DRAIN, NONE, ORIFICE, PLAN
+from greenroof_ros.analysis.district.file import DRAIN, NONE, ORIFICE, PLAN, ROOF
 from greenroof_ros.analysis.figures import Figure, Panel, distinguish_series
+from greenroof_ros.analysis.references import NO_IRRIGATION, PEAKS, return_periods
 from greenroof_ros.analysis.seasons import find_ranges
 from greenroof_ros.analysis.tables import COLUMNS, Column, Table, format_number, write_range
 from greenroof_ros.analysis.tables import format_share as share
@@ -19,6 +20,7 @@ VOLUMES = {
     **{name: COLUMNS[name] for name in ("wet_discharge_m3", "discharge_m3", "retention_share")},
     LESS: Column("less in wet weather", "%", share),
     "sewer_overflow_m3": Column("flow beyond the capacity, unrouted", "m³", format_number),
+    "sewer_overflow_days": Column("days with flow beyond the capacity", "", format_number),
     "mains_m3": COLUMNS["mains_m3"],
 }
 """columns of the tables, by the names of the results"""
@@ -26,10 +28,17 @@ ROUTED = {
     "routed_overflow_m3": Column("sewer overflow, routed", "m³", format_number),
     "routed_peak_l_s": Column("peak in the sewer, routed", "L/s", format_number),
 }
+UNROUTED = {
+    name: Column(f"peak over {width} min, unrouted", "L/s", format_number)
+    for width, name in PEAKS.items()
+}
 ENDS = ("_p5", "_p95")
 """endings of the columns with the 5th and the 95th percentile"""
 RESTS_ON = {name: VOLUMES[name] for name in (LESS, "retention_share", "mains_m3")}
-_LABELS = {NONE: "overflow only", ORIFICE: "orifice", DRAIN: "valve, drain", PLAN: "valve, plan"}
+_LABELS = {
+    ROOF: NO_IRRIGATION, NONE: "overflow only", ORIFICE: "orifice", DRAIN: "valve, drain",
+    PLAN: "valve, plan",
+}
 
 
 def label(row: Mapping[str, Any]) -> str:
@@ -69,6 +78,29 @@ def tabulate_assumptions(assumptions: pl.DataFrame, outlet: str) -> Table:
             [*(row[name] for name in by), *(write_range(row, *each) for each in RESTS_ON.items())]
             for row in ranges.iter_rows(named=True)
         ], frozenset({0}),
+    )
+
+
+def tabulate_peaks(rows: pl.DataFrame, best: Mapping[str, Any], minutes: int) -> Table:
+    """Return the table of the seasons' highest flows by return period, for two of the flows.
+
+    Args:
+        rows: results of every flow in every draw and season; peaks are means of the draws.
+        best: the flow that is compared with the district as it is.
+        minutes: width of the window of the peaks (min).
+    """
+    peaks = []
+    for flow in (rows.row(0, named=True), best):
+        own = rows.filter(outlet=flow["outlet"], adoption=flow["adoption"])
+        means = own.group_by("season").agg(pl.col(PEAKS[minutes]).mean())
+        peaks.append(means[PEAKS[minutes]].sort(descending=True))
+    periods = return_periods(len(peaks[0]))
+    return Table(
+        f"The seasons' highest flows over {minutes} min, unrouted (L/s); the m-th largest of n has "
+        "a return period of (n + 1) / m years (Weibull)",
+        ["return period (years)", "as it is", label(best)],
+        [[f"{period:.3g}", *map(format_number, row)]
+         for period, *row in zip(periods, *peaks, strict=True)][:5],
     )
 
 

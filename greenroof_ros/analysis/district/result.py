@@ -11,7 +11,7 @@ from typing import Any
 
 import polars as pl
 
-from greenroof_ros.analysis.assumptions import list_ends
+from greenroof_ros.analysis.assumptions import OF_WEATHER, list_ends
 from greenroof_ros.analysis.district import file as keys
 from greenroof_ros.analysis.district import page as shown
 from greenroof_ros.analysis.district import swmm as routing
@@ -23,10 +23,11 @@ from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.text import number_of
 from greenroof_ros.controllers.registry import find_controller
 from greenroof_ros.forecast.choice import PERFECT, ForecastChoice
-from greenroof_ros.simulation.inputs import make_inputs
+from greenroof_ros.simulation.inputs import RunInputs, make_inputs
 from greenroof_ros.simulation.run import Run
 from greenroof_ros.site.file import read_site
 from greenroof_ros.site.site import Site
+from greenroof_ros.weather.climate import CLIMATE
 from greenroof_ros.weather.summary import as_lines, summarize
 
 PAGE, TABLES = "page.html", ("results.csv", "seasons.csv", "buildings.csv")
@@ -34,6 +35,8 @@ FILES = (*TABLES, "district.yaml", "swmm")
 """other files of the output than the page and its figures"""
 # Number of buildings with which the ends of assumptions are simulated.
 _SAMPLE = 10
+# Width of the window of the peaks whose return periods are shown (min).
+_PEAK_MIN = 15
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,6 +141,8 @@ class DistrictResult:
                 *([
                     shown.tabulate(table, shown.ROUTED, "Routed by SWMM, first draw")
                 ] if {*shown.ROUTED} <= {*table.columns} else []),
+                shown.tabulate(table, shown.UNROUTED, "Highest flows of the sum of all buildings"),
+                shown.tabulate_peaks(self.all_rows, self.best, _PEAK_MIN),
                 *([self.warnings] if self.warnings else []),
             ]),
             Section("Pictures", figures),
@@ -196,7 +201,7 @@ def district(
     site = read_site(given.find_files("site", given.site)[0], {"tau": given.tau, "M": 1})
     if site.low_outlet_level is None and {*given.outlets} != {keys.NONE}:
         raise given.refuse("site", "needs a low outlet, as in site_valve.yaml, or outlets: [none]")
-    runs = _read_runs(given, site, notes)
+    runs = _read_runs(given, site, make_run_inputs(given, site), notes)
     listed, flows = list_buildings(given, notes), list_flows(given)
     drawn = [make_buildings(given, site, listed, draw) for draw in range(given.draws)]
     rows, made = list[dict[str, Any]](), list[pl.DataFrame]()
@@ -226,14 +231,22 @@ def district(
     return replace(result, assumptions=tested)
 
 
-def _read_runs(given: keys.District, site: Site, notes: list[str]) -> dict[str, Run]:
+def make_run_inputs(given: keys.District, site: Site) -> RunInputs:
+    """Return the inputs of a run of the district's weather."""
+    weather = given.weather
+    return make_inputs(find_controller("onoff"), {
+        "site": site, "weather": given.find_files("weather.file", weather.file),
+        "evapotranspiration": weather.evapotranspiration, "gaps": weather.gaps,
+        **{name: getattr(weather, name) for name in CLIMATE},
+    })
+
+
+def _read_runs(
+    given: keys.District, site: Site, inputs: RunInputs, notes: list[str]
+) -> dict[str, Run]:
     """Return the run of the site in each season; incomplete ones are left out and noted."""
     weather = given.weather
     try:
-        inputs = make_inputs(find_controller("onoff"), {
-            "site": site, "weather": given.find_files("weather.file", weather.file),
-            "evapotranspiration": weather.evapotranspiration, "gaps": weather.gaps,
-        })
         records, _ = inputs.read_records(site)
         contents, *others = as_lines(summarize(records, site))
         notes += [f"{records.source}: {contents}", *others]
@@ -256,14 +269,15 @@ def _test(
     given, site, best = result.district, result.site, result.best
     buildings = buildings.filter(pl.col("adopts_at").is_not_null())[:_SAMPLE]
     sites, flow = make_sites(given, buildings), Flow(best["outlet"], best["adoption"])
-    for end in (None, *list_ends(site)) if flow.adoption and sites else ():
+    ends = list_ends(site, make_run_inputs(given, site))
+    for end in (None, *ends) if flow.adoption and sites else ():
         words, change, own = {"assumption": "as used", "value": ""}, dict[str, Any](), runs
         if end is not None:
-            (name, label, *_), value, changed_site = end
-            words = {"assumption": f"{label}; used: {getattr(site, name):g}", "value": f"{value:g}"}
-            change = {name: value}
-            if name == "k_Rs":  # evapotranspiration depends on it
-                own = _read_runs(given, changed_site, [])
+            (name, label, *_), used, value, changed_site, inputs = end
+            words = {"assumption": f"{label}; used: {used:g}", "value": f"{value:g}"}
+            change = {} if name in CLIMATE else {name: value}
+            if name in OF_WEATHER:
+                own = _read_runs(given, changed_site, inputs, [])
         for season, run in own.items() if not {*change} & {*buildings.columns} else ():
             run = replace(run, site=replace(run.site, **change))
             changed = [replace(each, **change) for each in sites]

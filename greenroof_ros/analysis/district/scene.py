@@ -14,7 +14,7 @@ import polars as pl
 
 from greenroof_ros.analysis.district import file as keys
 from greenroof_ros.analysis.district.buildings import GROUP, ID, Values, refuse_building
-from greenroof_ros.analysis.references import find_peak
+from greenroof_ros.analysis.references import PEAKS, find_peak, remove_cistern
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.controllers.onoff import LEVEL
 from greenroof_ros.controllers.registry import find_controller
@@ -28,6 +28,7 @@ METRICS = (
     "discharge_m3", "wet_discharge_m3", "overflow_m3", "pumped_m3", "mains_m3", "stress_hours"
 )
 """metrics that are kept for every building"""
+DAY_S = 86_400.0
 # More than the rounding errors of an interval's sums, and too little water to matter (m3).
 _NOTHING = 1e-6
 
@@ -97,12 +98,13 @@ class Scene:
             def report(share: float, done: int = number) -> None:
                 progress((done + share) / len(outlets))
 
+            equipped = [
+                _equip(district, outlet, buildings.row(place, named=True), sites[place])
+                for place in adopting
+            ]
             results, volumes = simulate_season([
-                Case(
-                    *_equip(district, outlet, buildings.row(place, named=True), sites[place]),
-                    run, sites[place].a1 * sites[place].z_o / 2, sites[place].x2_star,
-                    group=int(self._groups[place]),
-                ) for place in adopting
+                Case(own, parameters, run, own.a1 * own.z_o / 2, own.x2_star, group=int(group))
+                for (own, parameters), group in zip(equipped, self._groups[adopting], strict=True)
             ], threads=threads, progress=report)
             values = np.full((len(METRICS), len(sites)), np.nan)
             for place, (result, _) in zip(adopting, results, strict=True):
@@ -139,8 +141,12 @@ class Scene:
             }
         beyond = volumes - self.district.sewer_capacity / 1000 / HOUR_S * area * self.durations
         over = beyond > _NOTHING
-        return row | {
-            "sewer_overflow_m3": beyond[over].sum(),
+        peaks = {
+            name: 1000 * find_peak(volumes, self.durations, width) for width, name in PEAKS.items()
+        }
+        days = np.cumsum(self.durations)[over] // DAY_S
+        return row | peaks | {
+            "sewer_overflow_m3": beyond[over].sum(), "sewer_overflow_days": len({*days}),
             "dry_sewer_overflow_m3": beyond[over & ~self.wet].sum(),
         } | {
             name: np.nansum(self.metrics[f"{flow.outlet}:{name}"][adopts]) if adopts.any() else 0.0
@@ -157,8 +163,10 @@ def _equip(
 ) -> tuple[Site, dict[str, Any]]:
     """Return a building's site with a kind of outlet, and the parameters of its controller."""
     given = {name: building[name] for name in keys.POLICY_KEYS if name in building}
-    if outlet not in (keys.NONE, keys.ORIFICE):
+    if outlet in (keys.DRAIN, keys.PLAN):
         given["outlet"] = outlet
+    elif outlet == keys.ROOF:
+        site, given = remove_cistern(site), {}
     else:
         changes: dict[str, Any] = dict.fromkeys(("low_outlet_level", "low_outlet_radius"))
         if outlet == keys.ORIFICE:
