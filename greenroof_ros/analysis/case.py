@@ -8,7 +8,7 @@ import json
 import sys
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from importlib.metadata import packages_distributions
 from modulefinder import ModuleFinder
 from pathlib import Path
@@ -99,6 +99,7 @@ class Case:
         return {
             "weather": name_files(inputs.weather), "start": inputs.start, "hours": self.hours,
             "evapotranspiration": inputs.evapotranspiration, "gaps": inputs.gaps,
+            **asdict(inputs.climate),
             "forecast": str(inputs.forecast),
             **{f"forecast_{name}": inputs.forecast.options().get(name) for name in OPTIONS},
             "controller": inputs.controller.name, "initial": inputs.initial,
@@ -113,7 +114,7 @@ class Case:
             forecast = replace(forecast, file=directory / forecast.file)
         weather = _read_weather(
             tuple(directory / file for file in inputs.weather), self.site.place,
-            inputs.evapotranspiration, inputs.gaps,
+            inputs.evapotranspiration, inputs.gaps, inputs.climate,
         )
         return replace(inputs, weather=weather, forecast=forecast).build()
 

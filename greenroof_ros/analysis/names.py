@@ -38,6 +38,7 @@ def name_cases(cases: Sequence[Case]) -> list[dict[str, str]]:
             "hours": f"to {start + timedelta(hours=hours):%d %B %H:%M}",
             "evapotranspiration": f"{case.inputs.evapotranspiration} evapotranspiration",
             "gaps": f"gaps {case.inputs.gaps}",
+            "climate": str(case.inputs.climate) or "climate of the record",
         })
         of_season.setdefault(str(seasons[-1]), set()).add(start.year)
     facts = [

@@ -100,7 +100,7 @@ class Files:
             if files:
                 name, plain = weather[0].stem, self._write_plain(weather, site.place)
                 inputs = replace(inputs, weather=self._read_weather(
-                    weather, site.place, inputs.evapotranspiration, inputs.gaps
+                    weather, site.place, inputs.evapotranspiration, inputs.gaps, inputs.climate
                 ))
             run = inputs.build()
             if not files and run.records is not None:

@@ -94,6 +94,11 @@ class RunInputs(Climate):
         "for that time of day over the three days before and after", choices=GAPS, default=REFUSE,
     )
 
+    @property
+    def climate(self) -> Climate:
+        """How the climate differs from that of the record."""
+        return Climate(self.rain_factor, self.temperature_change)
+
     def read_site(self) -> Site:
         """Read and check the site.
 
@@ -108,8 +113,7 @@ class RunInputs(Climate):
         Raises:
             ConfigurationError: if the weather is invalid.
         """
-        climate = Climate(self.rain_factor, self.temperature_change)
-        what = site.place, self.evapotranspiration, self.gaps, climate
+        what = site.place, self.evapotranspiration, self.gaps, self.climate
         records = read_frame(self.weather, site) if is_frame(self.weather) else self.weather
         if isinstance(records, Weather):
             return records, records

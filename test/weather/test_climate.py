@@ -82,3 +82,12 @@ def test_runs_in_another_climate() -> None:
     assert wetter.metrics["rain_m3"] == pytest.approx(2 * plain.metrics["rain_m3"])
     with pytest.warns(UserWarning, match=r"changes only the frost: published"):
         gr.simulate("onoff", **given, temperature_change=2.0)
+
+
+def test_a_study_of_climates() -> None:
+    """Its windows are named by what differs, and its figures are those of runs."""
+    given = {"start": "2021-07-07T14:00", "hours": 6.0, "evapotranspiration": "published"}
+    table = gr.study({"controller": ["onoff"], "rain_factor": [1.0, 1.5], **given})
+    assert table["window"].to_list() == ["climate of the record", "rain times 1.5"]
+    alone = gr.simulate("onoff", **given, rain_factor=1.5)
+    assert table["rain_m3"][1] == alone.metrics["rain_m3"]

@@ -22,7 +22,7 @@ def test_command(tmp_path: Path) -> None:
     assert result.returncode == 0, result.stderr
     out = tmp_path / "out"
     rows = list(csv.DictReader((out / "results.csv").open()))
-    assert len(rows) == 1 + 4 * 3
+    assert len(rows) == 1 + 5 * 3
     buildings = list(csv.DictReader((out / "buildings.csv").open()))
     half = [row for row in buildings if float(row["adopts_at"]) <= 0.5]
     assert (len(buildings), len(half)) == (8, 4)
