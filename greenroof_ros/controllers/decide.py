@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import inspect
 import math
 import sys
 import traceback
@@ -87,8 +88,10 @@ def valid_number(kind: Any, member: str, subject: str, value: Any, valid: Range)
     if value in valid:
         return float(value)
     file, line = find_place(kind, member, "command")
+    both = "; to return (command, outlet), a class needs an attribute such as outlet = 0.0"
     raise ControllerError(
-        f"{valid.expected(value)} (greenroof check-controller detects this before a run)",
+        f"{valid.expected(value)} (greenroof check-controller detects this before a run)"
+        f"{both if isinstance(value, tuple) else ''}",
         file=file, line=line, key=f"{subject} of {kind.__name__} = {describe_value(value)}",
     )
 
@@ -168,7 +171,8 @@ def find_place(kind: Any, *members: str) -> tuple[str | None, int | None]:
     If a class wraps a function as ``__wrapped__``, the location of this function is returned.
     """
     for name in members:
-        member = getattr(kind, "__wrapped__", getattr(kind, name, None))
+        member: Any = getattr(kind, "__wrapped__", getattr(kind, name, None))
+        member = inspect.unwrap(member)
         code = getattr(getattr(member, "fget", member), "__code__", None)
         if code is not None:
             return code.co_filename, code.co_firstlineno
