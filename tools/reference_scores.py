@@ -46,7 +46,7 @@ def compute(scenario: str, controller: str) -> Score:
         if inputs.get("forecast") == A_WEEK_LATE:
             inputs["forecast"] = str(Path(directory) / "late.csv")
             delay_by_a_week(Path(known.inputs["forecast"]), Path(inputs["forecast"]))
-        return Score(known, simulate(name, **{**known.inputs, **inputs}))
+        return Score(known, [simulate(name, **{**known.inputs, **inputs})])
 
 
 def main() -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime, timedelta
@@ -18,6 +18,8 @@ from greenroof_ros.base.errors import ConfigurationError, rename_keys, require_e
 from greenroof_ros.base.files import default_site_file
 from greenroof_ros.base.parameter import Parameter
 from greenroof_ros.base.times import duration, to_minutes
+from greenroof_ros.controllers.decide import valid_number
+from greenroof_ros.controllers.outlet import SHARE
 from greenroof_ros.controllers.registry import ControllerChoice, choose_class, find_controller
 from greenroof_ros.physics.storm_water import Event
 from greenroof_ros.results.forked_polars import make_frame
@@ -70,9 +72,14 @@ def build_run(inputs: RunInputs) -> Run:
         ConfigurationError: if an input is invalid.
     """
     run = inputs.build()
-    for note in (*run.notes(), *run.weather_notes()):
-        warnings.warn(note, stacklevel=3)
+    warn([*run.notes(), *run.weather_notes()], level=4)
     return run
+
+
+def warn(notes: Iterable[str], level: int) -> None:
+    """Issue notes as warnings that name the line at a level of the stack, in which this is 1."""
+    for note in notes:
+        warnings.warn(note, stacklevel=level)
 
 
 class SiteState(NamedTuple):
@@ -113,8 +120,11 @@ class ForecastSteps(NamedTuple):
     ``ends[i]`` to ``ends[i + 1]``"""
 
 
-Function = Callable[[SiteState, ForecastSteps], float]
-"""A controller: a function that returns the command, as a share of the pumps' maximum flow (1)."""
+Function = Callable[[SiteState, ForecastSteps], Any]
+"""A controller: a function that returns the command, as a share of the pumps' maximum flow from 0
+to 1; or the command and the opening of the valve on the low outlet, as a share from 0 to 1, or None
+to leave the valve to its policy."""
+NEEDS_VALVE = "needs a site with a valve (low_outlet_valve: true)"
 
 
 class FunctionController:
@@ -128,20 +138,37 @@ class FunctionController:
     forecast_ends: Values = np.empty(0)
     start: datetime
     """start of the run, which is set before the run"""
+    opening: float | None = None
+    """opening of the valve that the function returned last; None to leave it to the policy"""
+    time_ns = 0
 
     def __init__(self, site: Site, horizon: float) -> None:
         self._site, self._tick = site, -1
 
     def command(self, cistern_level: float, roof_level: float, *forecast: Any) -> float:
-        """Return the result of the function, as a float if it is a number or an array of one."""
+        """Return the command of the function, and note the opening of the valve.
+
+        Raises:
+            ControllerError: if one of them is not a number from 0 to 1, or an array of one.
+            ConfigurationError: if the function commands a valve that the site does not have.
+        """
         self._tick += 1
         time = self.start + timedelta(seconds=self._tick * self._site.tau)
         state = SiteState(time, cistern_level, roof_level, self._site)
         steps = ForecastSteps._make(map(np.asarray, (*forecast, self.forecast_ends)))
-        command: Any = type(self).function(state, steps)
+        returned = type(self).function(state, steps)
+        both = isinstance(returned, tuple) and len(returned) == 2
+        command, self.opening = returned if both else (returned, None)
+        if self.opening is not None:
+            if not self._site.low_outlet_valve:
+                raise ConfigurationError(NEEDS_VALVE, key="outlet", value=self.opening)
+            self.opening = self._read("the opening of the valve", self.opening)
+        return self._read("the command", command)
+
+    def _read(self, subject: str, value: Any) -> float:
         with suppress(TypeError, ValueError):  # anything else is rejected, and named
-            command = np.asarray(command, np.float64).item()
-        return command  # type: ignore[no-any-return]
+            value = np.asarray(value, np.float64).item()
+        return valid_number(type(self), "command", subject, value, SHARE)
 
     def skip(self) -> None:
         """Count a tick in which the pump must not run."""
@@ -396,10 +423,15 @@ def simulate(
     """
     every_s = inputs.pop("trajectory_every", None) or 0.0
     run = build_run(make_inputs(choose_controller(controller), inputs))
+    return simulate_run(run, run.count_ticks_between(every_s))
+
+
+def simulate_run(run: Run, every: int = 1) -> Result:
+    """Simulate a run, and keep every n-th tick of its trajectory."""
     instance = run.make_controller()
     if isinstance(instance, FunctionController):
         instance.start = run.start
-    made, ticks = loop.simulate(run, instance, run.count_ticks_between(every_s))
+    made, ticks = loop.simulate(run, instance, every)
     assert ticks is not None
     return Result(run, made, ticks)
 

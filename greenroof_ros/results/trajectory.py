@@ -36,7 +36,7 @@ class Column(NamedTuple):
     attribute: str = ""
     """attribute of a :class:`Trajectory`; empty if it is computed from the others and the site"""
     topic: str = ""
-    """topic in a bag; the volumes are computed from levels"""
+    """topic in a bag, in which the volumes are levels; empty if it is not recorded"""
     needs: str = ""
     """key of the sites that have it; empty if all have it"""
 
@@ -65,6 +65,8 @@ COLUMNS = (
         "low_outlet_flow_m3_per_s", "flows.low_outlet", "low_outlet", "/outlet/flow",
         "low_outlet_valve",
     ),
+    Column("mains_flow_m3_per_s", "flows.mains", "mains", needs="mains_level"),
+    Column("wet", "wet", "wet"),
 )
 
 
@@ -74,8 +76,8 @@ def columns_of(site: Site) -> list[Column]:
 
 
 def recorded_columns(site: Site) -> list[Column]:
-    """Return the columns that a :class:`Trajectory` of a site contains."""
-    return [column for column in columns_of(site) if column.attribute]
+    """Return the columns of a :class:`Trajectory` that a bag of a site contains."""
+    return [column for column in columns_of(site) if column.attribute and column.topic]
 
 
 # Name of every column of a trajectory's file, by its attribute.
@@ -83,7 +85,7 @@ _NAMES = {
     "time": "time_s", **{column.attribute: column.name for column in COLUMNS if column.attribute},
     "layer": LAYER.name,
 }
-_OPTIONAL = {column.name for column in COLUMNS if column.needs}
+_OPTIONAL = {column.name for column in COLUMNS if column.needs or not column.topic}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -107,6 +109,9 @@ class Trajectory:
             valve.
         low_outlet: the part of the outflow through the low outlet (m3/s); None without a valve.
         layer: water in the drainage layer (m3); None without one, or if it was not recorded.
+        mains: flow of mains water into the cistern (m3/s); None without a mains supply, or if it
+            was not recorded.
+        wet: 1 in wet weather, otherwise 0; None if it was not recorded.
     """
 
     start: datetime
@@ -123,6 +128,8 @@ class Trajectory:
     outlet: Samples | None = None
     low_outlet: Samples | None = None
     layer: Samples | None = None
+    mains: Samples | None = None
+    wet: Samples | None = None
 
     def to_frame(self) -> polars.DataFrame:
         """Return a table with the time in its zone, in microseconds, and all arrays.
