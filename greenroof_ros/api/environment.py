@@ -47,9 +47,9 @@ Values = NDArray[np.float64]
 # What a command from outside does not change, instead of the parameters of on/off control.
 _PARAMETERS = {"fraction": 0.0, "level": 0.0}
 _CONTROL = Control(0.0, math.inf, -math.inf, 1.0, 1.0)
-STORM_WATER = "wet_discharge_m3", "mains_m3", "stress_hours"
+COUNTED = "wet_discharge_m3", "mains_m3", "stress_hours"
 """the metrics that :meth:`Roofs.count_storm_water` counts"""
-_STORM_WATER = np.array([WET_DISCHARGE, MAINS, STRESSED])
+_PLACES = np.array([WET_DISCHARGE, MAINS, STRESSED])
 # Ticks that are read together, and number of sites that are worth threads.
 _BLOCK, _MIN_SITES = 1024, 64
 
@@ -95,6 +95,7 @@ class Roofs:
 
     Attributes:
         runs: the run of each of n sites.
+        sites: their states, sums and kept ticks.
         tick: number of the current tick.
         left: number of ticks until the end of the runs.
     """
@@ -104,7 +105,7 @@ class Roofs:
 
         Args:
             runs: the runs.
-            keeps: whether to keep all ticks and events of a single run, for :meth:`result`.
+            keeps: whether to keep all ticks and events of a single run.
         """
         run, self.runs, count = runs[0], runs, len(runs)
         self.tick, self.left = 0, run.steps
@@ -112,21 +113,21 @@ class Roofs:
         self._first, self._until, self._plant = 0, 0, plant_parameters(run.site)
         cases = [Case(run.site, _PARAMETERS, each, each.x1, each.x2) for each in runs]
         self._keeps, self._units = keeps, np.array([1.0, 1.0, run.site.tau / HOUR_S])
-        self._counted = np.zeros((count, len(STORM_WATER)))
+        self._counted = np.zeros((count, len(COUNTED)))
         season = Season(cases, int(keeps), int(keeps), can_compile())
         # From an old pool, threads end by themselves.
         self._map: Any = ThreadPoolExecutor(count_cores()).map if count >= _MIN_SITES else map
         kind = np.ndarray if can_compile() else np.recarray
-        self._sites = season.sites._replace(
+        self.sites = season.sites._replace(
             runs=np.arange(count), controls=records([_CONTROL] * count).view(kind)
         )
         self._errors, self._parts = season.errors, season.parts
         self._without_rain = np.array([[each.without_rain_s] for each in runs])
         begins = [each.time_ns(0) / 1e9 for each in runs]
         self._new_days = [find_new_days(run.site, begin, run.steps) for begin in begins]
-        self._read(0)
+        self.read(0)
 
-    def _read(self, last: int, certain: int = 0) -> None:
+    def read(self, last: int, certain: int = 0) -> None:
         """Read the ticks from the current one to another (exclusive) or more, up to the end's.
 
         The first ticks keep the rain and the evapotranspiration that were read before, if they are
@@ -171,54 +172,36 @@ class Roofs:
             raise ConfigurationError("has ended; call reset() to restart it", key="the run")
         first, last = self.tick, self.tick + min(ticks, self.left)
         if last >= self._until:
-            self._read(last + 1)
-        controls = self._sites.controls
+            self.read(last + 1)
+        controls = self.sites.controls
         controls["fraction"], controls["policy"] = np.transpose(commands)
         # A single tick is kept: it is a multiple of itself.
-        every, rows_kept = max(1, first), 2 if ticks == 1 else 0
-        if self._keeps:
-            every = 1
-        elif self._sites.kept.shape[1] != rows_kept:
+        every, rows_kept, steps = max(1, first), 2 if ticks == 1 else 0, -1
+        if self._keeps:  # with the state at the end, whose flows are not applied
+            every, steps = 1, self.runs[0].steps
+        elif self.sites.kept.shape[1] != rows_kept:
             kept = np.zeros((len(controls), rows_kept, len(ALL_KEPT)))
-            self._sites = self._sites._replace(kept=kept)
+            self.sites = self.sites._replace(kept=kept)
         simulate: Any = compiled(run_ticks)
 
         def run(part: tuple[slice, Any, Any]) -> None:
             rows, _, hydrograph = part
-            sites = self._sites
+            sites = self.sites
             if len(self._parts) > 1:
                 sites = type(sites)(*(each[rows] for each in sites))
-            simulate(sites, self._ticks, first, last, hydrograph, every, -1)
+            simulate(sites, self._ticks, first, last + (last == steps), hydrograph, every, steps)
 
         list(self._map(run, self._parts))
         self.tick, self.left, p = last, self.left - (last - first), self._plant
-        rewards: Values = -(self._sites.missed + abs(self.levels[:, 1] * p.a2 - p.x2_star))
+        rewards: Values = -(self.sites.missed + abs(self.levels[:, 1] * p.a2 - p.x2_star))
         return rewards
 
-    def expect(self, run: Run, certain: int) -> None:
-        """Go on in another run, whose weather is that of the present one in some certain ticks."""
-        self.runs = [run]
-        self._read(self.tick, certain)
-
-    def result(self) -> Result:
-        """Return the result of a single run that has ended, whose ticks were kept."""
-        (run,), (part,), began = self.runs, self._parts, time.monotonic()
-        # The state at the end is kept with flows that are not applied.
-        simulate: Any = compiled(run_ticks)
-        simulate(self._sites, self._ticks, run.steps, run.steps + 1, part[2], 1, run.steps)
-        (results,) = self._end()
-        return Result(
-            run, summary.make_summary(
-                run, *results, wall_s=time.monotonic() - began, solver=None,
-            ), make_trajectory(run, self._sites.kept[0], 1),
-        )
-
     def count_storm_water(self) -> Values:
-        """Return :data:`STORM_WATER` since the last call, shape (n, 3)."""
-        sums: Any = self._sites.sums
+        """Return :data:`COUNTED` since the last call, shape (n, 3)."""
+        sums: Any = self.sites.sums
         if not isinstance(sums, np.ndarray):
             sums = np.array([row[: MAINS + 1] for row in sums])
-        totals = sums[:, _STORM_WATER] * self._units
+        totals = sums[:, _PLACES] * self._units
         counted: Values = totals - self._counted
         self._counted = totals
         return counted
@@ -226,7 +209,7 @@ class Roofs:
     @property
     def levels(self) -> Values:
         """Readings of the sensors in the cisterns and on the roofs (m), shape (n, 2)."""
-        levels: Values = np.array(self._sites.state)[:, :2] / (self._plant.a1, self._plant.a2)
+        levels: Values = np.array(self.sites.state)[:, :2] / (self._plant.a1, self._plant.a2)
         if len(self._errors):
             levels[:, 1] = np.maximum(0.0, levels[:, 1] + self._errors[self.tick])
         return levels
@@ -259,7 +242,7 @@ class Roofs:
         """Simulate a tick with commands as of :meth:`follow`, and return it for every site."""
         readings, k, ticks = self.levels.tolist(), self.tick, list[Tick]()
         self.follow(commands, 1)
-        for levels, kept in zip(readings, self._sites.kept[:, min(k, 1)].tolist(), strict=True):
+        for levels, kept in zip(readings, self.sites.kept[:, min(k, 1)].tolist(), strict=True):
             (
                 cistern, roof, rain, demand, command, pump, outflow, drained, frost, layer, outlet,
                 low_outlet, mains, wet, evaporated, limited,
@@ -271,45 +254,33 @@ class Roofs:
             )))
         return ticks
 
-    def metrics(self) -> list[dict[str, float]]:
-        """Return the metrics of every site, as if the runs ended now."""
-        return [results.metrics for results in self._end()]
-
-    def _end(self) -> list[Results]:
-        site, now = self.runs[0].site, self._sites
+    def results(self) -> list[Results]:
+        """Return the results of every site, as if the runs ended now."""
+        site, now = self.runs[0].site, self.sites
         return [
             end_run(site, [*map(float, sums)], events, State(*map(float, state)))
             for sums, events, state in zip(now.sums, now.events, now.state, strict=True)
         ]
 
 
-class Played:
-    """The commands to one site in its run, which are played again for its result."""
+def play_again(run: Run, played: array[float]) -> Result:
+    """Return the result of a run.
 
-    def __init__(self) -> None:
-        """Begin without commands."""
-        self._commands = array("d")
+    Args:
+        run: the run.
+        played: command to the pumps, opening of the valve and number of ticks, again and again.
 
-    def append(self, command: float, outlet: float, ticks: int) -> None:
-        """Add a command to the pumps and an opening of the valve for some ticks."""
-        commands = self._commands
-        if commands and commands[-3] == command and commands[-2] == outlet:
-            commands[-1] += ticks
-        else:
-            commands.extend((command, outlet, ticks))
-
-    def result(self, run: Run) -> Result:
-        """Return the result of a run with these commands.
-
-        Raises:
-            ConfigurationError: if the run has not ended.
-        """
-        roofs = Roofs([run], keeps=True)
-        for command, outlet, ticks in zip(*[iter(self._commands)] * 3, strict=True):
-            roofs.follow([(command, outlet)], int(ticks))
-        if roofs.left:
-            raise ConfigurationError("has a result only after its last tick", key="the run")
-        return roofs.result()
+    Raises:
+        ConfigurationError: if the run has not ended.
+    """
+    roofs, began = Roofs([run], keeps=True), time.monotonic()
+    for command, outlet, ticks in np.reshape(played, (-1, 3)).tolist():
+        roofs.follow([(command, outlet)], int(ticks))
+    if roofs.left:
+        raise ConfigurationError("has a result only after its last tick", key="the run")
+    (results,) = roofs.results()
+    made = summary.make_summary(run, *results, wall_s=time.monotonic() - began, solver=None)
+    return Result(run, made, make_trajectory(run, roofs.sites.kept[0], 1))
 
 
 class _Program(FunctionController):
@@ -370,7 +341,7 @@ class Environment:
         """
         self._run = run = restart(self._run, self._run.start, seed)
         self._roofs = Roofs([run])
-        self._policy, self._played = run.make_outlet(run.make_controller()), Played()
+        self._policy, self._played = run.make_outlet(run.make_controller()), array("d")
         return self.state
 
     def step(self, command: float, outlet: float | None = None) -> Tick:
@@ -402,7 +373,7 @@ class Environment:
                 raise ConfigurationError(NEEDS_VALVE, key="outlet", value=outlet)
             opening = SHARE.read(float(outlet), key="outlet")
         (tick,) = self._roofs.act([(share, opening)])
-        self._played.append(share, opening, 1)
+        self._played.extend((share, opening, 1))
         return tick
 
     def model(self) -> Environment:
@@ -425,8 +396,8 @@ class Environment:
         assert isinstance(run.forecast, SteppedForecast)
         weather = run.forecast.as_records(roofs.tick)
         model._run = _rebuild(replace(run, weather=weather, forecast_choice=ForecastChoice()))
-        roofs.expect(model._run, max(1, round(float(self._ends[1]) / tau)))
-        roofs.left = min(roofs.left, int(self._ends[-1] / tau))
+        roofs.runs, roofs.left = [model._run], min(roofs.left, int(self._ends[-1] / tau))
+        roofs.read(roofs.tick, certain=max(1, round(float(self._ends[1]) / tau)))
         return model
 
     def result(self) -> Result:
@@ -443,7 +414,7 @@ class Environment:
             >>> roof.result().trajectory["command"].sum()
             1800.5
         """
-        return self._played.result(self._run)
+        return play_again(self._run, self._played)
 
     @property
     def state(self) -> SiteState:
@@ -494,4 +465,4 @@ class Environment:
             >>> roof.metrics["pump_starts"]
             1
         """
-        return self._roofs.metrics()[0]
+        return self._roofs.results()[0].metrics

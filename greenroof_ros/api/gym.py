@@ -10,6 +10,7 @@ With the prefix ``greenroof_ros.gym:``, any process can find them:
 
 from __future__ import annotations
 
+from array import array
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
@@ -19,9 +20,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from greenroof_ros.api import environment
-from greenroof_ros.api.environment import Played, Roofs, restart
-from greenroof_ros.api.scenarios import STORM_WATER, find_scenario
+from greenroof_ros.api.environment import COUNTED, Roofs, play_again, restart
+from greenroof_ros.api.scenarios import STORM_WATER, find_scenario, weigh
 from greenroof_ros.api.simulate import FunctionController, Result, SiteState, warn
 from greenroof_ros.base.errors import ConfigurationError, require_extra, suggest_names
 from greenroof_ros.base.ranges import Range
@@ -98,10 +98,11 @@ class GreenRoofEnv(gymnasium.Env[Values, Values]):
       without the first tick, which no action can change. At a site with a valve, it is the negative
       score for storm water: of the discharge in wet weather (m3), plus 0.3 times the mains water
       (m3), plus 0.01 times the water stress (h).
+      In each case, the ``initial_score`` in the ``info`` of ``reset`` minus the sum of the rewards
+      is the ``score`` in the last ``info``.
     - Scenario: with ``scenario="dry-month"``, an episode is what :func:`.score` judges, whatever
-      the seed of ``reset``, and the rewards are parts of its score. The ``initial_score`` in the
-      ``info`` of ``reset`` minus the sum of the rewards is the ``score`` in the last ``info``. With
-      ``start="random"`` as well, an episode is a season of one of the scenario's years to train on.
+      the seed of ``reset``, and its rewards are parts of this score. With ``start="random"`` as
+      well, an episode is a season of one of the scenario's years to train on.
     - Episode: the N ticks of the window, each ``site.tau`` long. A step with one action lasts
       ``decision_ticks`` ticks, and the pumps' minimum times and the roof's limits apply in every
       tick. An episode ends with ``truncated``, because the roof has no terminal state;
@@ -139,8 +140,7 @@ class GreenRoofEnv(gymnasium.Env[Values, Values]):
         Args:
             scenario: name of one of ``gr.scenarios``, which fixes all inputs except ``horizon``;
                 and, with ``start="random"``, ``hours``, the length of an episode.
-            draw: seed of the forecasts' errors in a scenario, as one of ``seeds`` in
-                :func:`.score`.
+            draw: seed of the forecasts' errors, as one of ``seeds`` in :func:`.score`.
             reward: function that returns the reward for a tick from the results of the tick and the
                 state after it; None for the default.
             decision_ticks: number of ticks for which an action applies; the last action may be cut
@@ -153,21 +153,17 @@ class GreenRoofEnv(gymnasium.Env[Values, Values]):
         """
         self._decision_ticks = int(_TICKS.read(decision_ticks, key="decision_ticks"))
         self._reward, self._is_random = reward, inputs.get("start") == _RANDOM
+        self._scenario = None if scenario is None else find_scenario(scenario)
         names = [*_OWN, *INPUTS, *_AGENT.parameters]
         for name in inputs.keys() - names:
-            raise ConfigurationError(
-                f"is not an input; {suggest_names(name, names)}", key=name, value=inputs[name]
-            )
-        self._scenario = None if scenario is None else find_scenario(scenario)
-        if self._scenario is not None:
-            free = _IN_TRAINING if self._is_random else _FREE
-            for name in inputs.keys() - free:
+            wrong = f"is not an input; {suggest_names(name, names)}"
+            raise ConfigurationError(wrong, key=name, value=inputs[name])
+        if (fixed := self._scenario) is not None:
+            for name in inputs.keys() - (_IN_TRAINING if self._is_random else _FREE):
                 raise ConfigurationError("is fixed by the scenario", key=name, value=inputs[name])
-            inputs = {**(
-                self._scenario.training_inputs if self._is_random else self._scenario.draw(draw)
-            ), **inputs}
-        elif draw is not None:
-            raise ConfigurationError("needs a scenario", key="draw", value=draw)
+            inputs = (fixed.training_inputs if self._is_random else fixed.inputs) | inputs
+        if draw is not None:
+            inputs["forecast_seed"] = draw
         if self._is_random:  # until the first one is drawn
             known = make_inputs(_AGENT, {**inputs, "start": None})
             weather, _ = known.read_records(known.read_site())
@@ -204,7 +200,7 @@ class GreenRoofEnv(gymnasium.Env[Values, Values]):
             ConfigurationError: if an option is invalid.
         """
         super().reset(seed=seed)
-        self._roofs, self._played = self.begin([self.np_random], options), Played()
+        self._roofs, self._played = self.begin([self.np_random], options), array("d")
         (info,) = self.describe(self._roofs)
         return self.observe(self._roofs)[0], info
 
@@ -216,10 +212,10 @@ class GreenRoofEnv(gymnasium.Env[Values, Values]):
                 with a valve), or if the episode has ended.
         """
         roofs, commands = self._roofs, read_actions(action, self.action_space.shape)
-        begin, ((command, outlet),) = roofs.tick, commands.tolist()
+        begin = roofs.tick
         rewards, storm_water = self.play(roofs, commands)
-        self._played.append(command, outlet, roofs.tick - begin)
-        info = dict(zip(environment.STORM_WATER, storm_water[0].tolist(), strict=True))
+        self._played.extend((*commands[0], roofs.tick - begin))
+        info = dict(zip(COUNTED, storm_water[0].tolist(), strict=True))
         if not roofs.left:
             info |= self.judge(roofs)[0]
         return self.observe(roofs)[0], float(rewards[0]), False, not roofs.left, info
@@ -230,26 +226,26 @@ class GreenRoofEnv(gymnasium.Env[Values, Values]):
         Raises:
             ConfigurationError: if the episode has not ended.
         """
-        return self._played.result(self._roofs.runs[0])
+        return play_again(self._roofs.runs[0], self._played)
 
     def _make_run(self, inputs: Mapping[str, Any]) -> Run:
         """Build a run; for random starts, the errors of its forecasts are drawn with the start."""
         made = make_inputs(_AGENT, inputs)
-        if not self._is_random or made.forecast.model not in (ERRORS, ENSEMBLE):
+        if self._has_seed or not (self._is_random and made.forecast.model in (ERRORS, ENSEMBLE)):
             return made.build()
         run = replace(made, forecast=ForecastChoice()).build()
         return replace(run, forecast_choice=made.forecast)
 
     def _weigh(self) -> None:
-        """Set what a deviation (m3) and each of :data:`.environment.STORM_WATER` cost."""
-        weights, run = dict[str, float](), self._own
+        """Set what a deviation (m3) and each of :data:`.COUNTED` cost."""
+        m3_per_mm = (self._own.steps + 1) * self.site.a2 / 1000
+        self._weights: Mapping[str, float] = {"mean_deviation_mm": m3_per_mm}
         if self._scenario is not None:
-            weights = {**self._scenario.weights}
+            self._weights = self._scenario.weights
         elif self.site.low_outlet_valve:
-            weights = STORM_WATER
-        per_mm = 1000 / (run.steps + 1) / self.site.a2
-        self._of_deviation = per_mm * weights.get("mean_deviation_mm", 0.0) if weights else 1.0
-        self._of_storm_water = [weights.get(name, 0.0) for name in environment.STORM_WATER]
+            self._weights = STORM_WATER
+        self._of_deviation = self._weights.get("mean_deviation_mm", 0.0) / m3_per_mm
+        self._of_storm_water = [self._weights.get(name, 0.0) for name in COUNTED]
 
     def begin(
         self, randoms: Iterable[np.random.Generator], options: Mapping[str, Any] | None
@@ -258,8 +254,6 @@ class GreenRoofEnv(gymnasium.Env[Values, Values]):
         options = options or {}
         for name in options.keys() - {"start", "initial"}:
             raise ConfigurationError("must be start or initial", key="option", value=name)
-        if options and self._scenario is not None and not self._is_random:
-            raise ConfigurationError("are fixed by the scenario", key="options", value=options)
         run = self._make_run({**self._inputs, **options}) if options else self._own
         starts, hours = [run.start], 1
         if self._is_random and "start" not in options:
@@ -277,7 +271,7 @@ class GreenRoofEnv(gymnasium.Env[Values, Values]):
         """Apply commands during the ticks of one step.
 
         Returns:
-            The rewards, shape (n,), and the :data:`.environment.STORM_WATER` of the step, shape (n,
+            The rewards, shape (n,), and the :data:`.COUNTED` of the step, shape (n,
             3).
 
         Raises:
@@ -299,11 +293,8 @@ class GreenRoofEnv(gymnasium.Env[Values, Values]):
 
     def judge(self, roofs: Roofs) -> list[dict[str, Any]]:
         """Return what the ``info`` of the last step of each episode contains."""
-        return [
-            {"metrics": metrics} if self._scenario is None
-            else {"metrics": metrics, "score": self._scenario.weigh(metrics)}
-            for metrics in roofs.metrics()
-        ]
+        ends = roofs.results()
+        return [{"metrics": each, "score": weigh(self._weights, each)} for each, _ in ends]
 
     def observe(self, roofs: Roofs) -> Values:
         """Return the observations of roofs, shape (n, entries)."""
@@ -438,7 +429,7 @@ class GreenRoofVectorEnv(VectorEnv[Values, Values, NDArray[Any]]):
         )
         judged, ended = ([], never.copy()) if roofs.left else (self._single.judge(roofs), ~never)
         infos = self._collect(judged)
-        for name, values in zip(environment.STORM_WATER, storm_water.T, strict=True):
+        for name, values in zip(COUNTED, storm_water.T, strict=True):
             infos |= {name: values.copy(), f"_{name}": ~never}
         return self._single.observe(roofs), rewards, never, ended, infos
 

@@ -88,21 +88,6 @@ class Scenario:
             inputs["forecast"] = str(_CONFIG / archive)
         return inputs
 
-    def draw(self, seed: int | None) -> dict[str, Any]:
-        """Return the inputs, with another seed of the forecasts' errors if it is not None.
-
-        Raises:
-            ConfigurationError: if the forecasts have no errors.
-        """
-        if seed is None:
-            return self.inputs
-        if "forecast_seed" not in self.run:
-            raise ConfigurationError(
-                "has forecasts without random errors, so there are no seeds to draw",
-                key="scenario", value=self.name,
-            )
-        return {**self.inputs, "forecast_seed": seed}
-
     @property
     def training_inputs(self) -> dict[str, Any]:
         """The inputs with the weather to train on, without a start and without a seed.
@@ -111,36 +96,21 @@ class Scenario:
             ConfigurationError: if the scenario has no years to train on.
         """
         if not self.train:
-            raise ConfigurationError(
-                "has no years to train on; those with years are "
-                + ", ".join(each.name for each in scenarios.values() if each.train),
-                key="scenario", value=self.name,
-            )
+            raise ConfigurationError("has no years to train on", key="scenario", value=self.name)
         inputs = {**self.inputs, "weather": str(_CONFIG / "weather" / self.train["weather"])}
         return {name: inputs[name] for name in inputs.keys() - {"start", "forecast_seed"}}
 
     def training_starts(self, hours: float) -> tuple[list[datetime], int]:
         """Return the first start in each year to train on, and the number of hourly starts.
 
-        A run of some hours is then within the scenario's days of the year.
-
-        Raises:
-            ConfigurationError: if the run is longer than the scenario.
+        A run of some hours is then within the scenario's days of the year, unless it is longer.
         """
-        first, spare = datetime.fromisoformat(self.run["start"]), self.run["hours"] - hours
-        if spare < 0:
-            raise ConfigurationError(
-                f"must be at most the scenario's, {self.run['hours']:g}", key="hours", value=hours
-            )
-        return [first.replace(year=year) for year in self.train["years"]], 1 + int(spare)
-
-    def weigh(self, metrics: Mapping[str, float]) -> float:
-        """Return the score that follows from the metrics of a run."""
-        return sum(weight * metrics[name] for name, weight in self.weights.items())
+        first, spare = datetime.fromisoformat(self.run["start"]), int(self.run["hours"] - hours)
+        return [first.replace(year=year) for year in self.train["years"]], 1 + max(0, spare)
 
     def evaluate(self, result: Result) -> float:
         """Return the score of a run in this scenario."""
-        return self.weigh(result.metrics)
+        return weigh(self.weights, result.metrics)
 
     def bound(self, result: Result) -> float:
         """Return the lowest score that is possible in this scenario.
@@ -169,6 +139,11 @@ scenarios = {
 """scenarios by name"""
 
 
+def weigh(weights: Mapping[str, float], metrics: Mapping[str, float]) -> float:
+    """Return a weighted sum of metrics, those that a run lacks being 0."""
+    return sum(weight * metrics.get(name, 0.0) for name, weight in weights.items())
+
+
 def find_scenario(name: Any) -> Scenario:
     """Return the scenario of a name.
 
@@ -176,9 +151,8 @@ def find_scenario(name: Any) -> Scenario:
         ConfigurationError: if there is no such scenario.
     """
     if str(name) not in scenarios:
-        raise ConfigurationError(
-            describe_choices([*scenarios], str(name)), key="scenario", value=name
-        )
+        wrong = describe_choices([*scenarios], str(name))
+        raise ConfigurationError(wrong, key="scenario", value=name)
     return scenarios[name]
 
 
@@ -226,16 +200,13 @@ class Score:
         Raises:
             ConfigurationError: if polars is not installed.
         """
-        with require_extra("study"):
-            import polars
-        own = polars.DataFrame({
-            "controller": f"yours: {self.name}", "score": self.value, "bound": self.bound,
-            "stress_hours": fmean(each.metrics["stress_hours"] for each in self.results),
-        })
         others = read_references().filter(scenario=self.scenario.name).drop("scenario")
-        return polars.concat([others, own], how="vertical_relaxed").sort(
-            "score", maintain_order=True
-        )
+        stress = fmean(each.metrics["stress_hours"] for each in self.results)
+        own = [(f"yours: {self.name}", self.value, self.bound, stress)]
+        import polars  # which has read the others
+
+        row = polars.DataFrame(own, schema=others.schema, orient="row")
+        return others.vstack(row).sort("score", maintain_order=True)
 
     def __repr__(self) -> str:
         """Return the score on one line, with the table below it."""
@@ -299,28 +270,28 @@ def score(
     for name in parameters.keys() & INPUTS:
         raise ConfigurationError("is fixed by the scenario", key=name, value=parameters[name])
     draws = [None] if seeds is None else range(1, seeds + 1) if isinstance(seeds, int) else seeds
+    drawn = [{} if draw is None else {"forecast_seed": draw} for draw in draws]
     if hasattr(controller, "predict") and not isinstance(controller, type):
-        results = [_play(controller, known, draw, parameters) for draw in draws]
+        results = [_play(controller, known, {**parameters, **inputs}) for inputs in drawn]
         name = type(controller).__name__
     else:
         choice = choose_controller(controller)
         warn(note_arrays(choice.kind), level=3)
         results = [
-            simulate_run(make_inputs(choice, {**known.draw(draw), **parameters}).build())
-            for draw in draws
+            simulate_run(make_inputs(choice, {**known.inputs, **inputs, **parameters}).build())
+            for inputs in drawn
         ]
         name = choice.name
-    return Score(known, results, ", ".join([
-        name, *(f"{key}={value:g}" if isinstance(value, float) else f"{key}={value}"
-                for key, value in parameters.items()),
-    ]))
+    return Score(known, results, ", ".join(
+        [name, *(f"{key}={value}" for key, value in parameters.items())]
+    ))
 
 
-def _play(model: Any, scenario: Scenario, draw: int | None, settings: Mapping[str, Any]) -> Result:
+def _play(model: Any, scenario: Scenario, settings: Mapping[str, Any]) -> Result:
     """Return the result of a model's actions in the environment of a scenario."""
     from greenroof_ros.api.gym import GreenRoofEnv
 
-    roof = GreenRoofEnv(scenario=scenario.name, draw=draw, **settings)
+    roof = GreenRoofEnv(scenario=scenario.name, **settings)
     space = getattr(model, "observation_space", roof.observation_space)
     if space.shape != roof.observation_space.shape:
         raise ConfigurationError(

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greenroof_ros.base.errors import ConfigurationError, rename_keys, require_extra
-from greenroof_ros.base.files import default_site_file
+from greenroof_ros.base.files import default_site_file, find_shipped
 from greenroof_ros.base.parameter import Parameter
 from greenroof_ros.base.times import duration, to_minutes
 from greenroof_ros.controllers.decide import valid_number
@@ -24,7 +24,7 @@ from greenroof_ros.controllers.registry import ControllerChoice, choose_class, f
 from greenroof_ros.physics.storm_water import Event
 from greenroof_ros.results.forked_polars import make_frame
 from greenroof_ros.results.metrics import METRICS
-from greenroof_ros.results.trajectory import COLUMNS, TRAJECTORY, Trajectory, zone_name
+from greenroof_ros.results.trajectory import COLUMNS, TRAJECTORY, Time, Trajectory, zone_name
 from greenroof_ros.simulation import loop, summary
 from greenroof_ros.simulation.directory import make_run_directory, write_configuration
 from greenroof_ros.simulation.inputs import RunInputs, make_inputs
@@ -47,7 +47,8 @@ def read_site(path: str | Path | None = None, **changes: Any) -> Site:
     the target level ``z_veg`` changes.
 
     Args:
-        path: path of the file; None for the paper's site.
+        path: path of the file, or name of a file of this package such as ``site_valve.yaml``; None
+            for the paper's site.
         changes: values that replace those in the file, each under the name of a parameter or of a
             key that the file itself uses, such as ``cistern_volume`` and ``roof_area``.
 
@@ -60,7 +61,7 @@ def read_site(path: str | Path | None = None, **changes: Any) -> Site:
         >>> round(site.x2_star, 3), site.a2
         (2.752, 68.8)
     """
-    return site_file.read_site(Path(path or default_site_file()), changes)
+    return site_file.read_site(find_shipped(Path(path or default_site_file())), changes)
 
 
 def build_run(inputs: RunInputs) -> Run:
@@ -311,16 +312,22 @@ class Result:
             .dt.convert_time_zone(zone)
         )
 
-    def plot(self) -> altair.VConcatChart:
-        """Return a chart of rain, roof level, cistern level, pump flow and any flow to the sewer.
+    def plot(self, start: Time = None, end: Time = None) -> altair.VConcatChart:
+        """Return a chart of rain, roof and cistern level, pump flow, and any flow to the sewer.
 
-        A notebook shows the chart as a picture. ``.save("run.png")`` writes it to a file, which can
-        also be .svg or .html (``inline=True`` for a page that needs no internet connection). For a
-        long run, the chart contains the smallest and the largest value in each of about 250
-        intervals.
+        At a site with a valve, it includes the valve's opening. A notebook shows the chart as a
+        picture. ``.save("run.png")`` writes it to a file, which can also be .svg or .html
+        (``inline=True`` for a page that needs no internet connection). For a long run, the chart
+        contains the smallest and the largest value in each of about 250 intervals.
+
+        Args:
+            start: beginning of the chart, at the UTC offset of the run's start unless it has its
+                own; by default that of the run.
+            end: end of the chart; by default that of the run.
 
         Raises:
-            ConfigurationError: if altair is not installed.
+            ConfigurationError: if a time is invalid or outside the run, or if altair is not
+                installed.
 
         Example:
             >>> import greenroof_ros as gr
@@ -328,7 +335,7 @@ class Result:
             >>> len(chart.vconcat)
             4
         """
-        return Comparison({self.run.controller.name: self}).plot()
+        return Comparison({self.run.controller.name: self}).plot(start, end)
 
     def save(self, directory: str | Path) -> Path:
         """Write a run directory as ``greenroof simulate --trajectory`` does, and return its path.
@@ -465,7 +472,7 @@ class Comparison:
             {"controller": name, **result.metrics} for name, result in self.results.items()
         ])
 
-    def plot(self) -> altair.VConcatChart:
+    def plot(self, start: Time = None, end: Time = None) -> altair.VConcatChart:
         """Return a chart like that of :meth:`.Result.plot`, with a line for each controller.
 
         If the sites differ, the chart contains no lines for the target and the cistern levels.
@@ -482,7 +489,8 @@ class Comparison:
         with require_extra("study"):
             from greenroof_ros.analysis.report.trajectories import overlay_simulations
         return overlay_simulations({
-            name: (result.run.site, result.ticks) for name, result in self.results.items()
+            name: (result.run.site, result.ticks.between(start, end))
+            for name, result in self.results.items()
         })
 
 

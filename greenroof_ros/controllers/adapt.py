@@ -34,9 +34,8 @@ def note_arrays(kind: Any) -> list[str]:
     if is_own(kind) or takes_numpy(kind):
         return []
     return [
-        f"the forecasts that {kind.__name__}.command() receives are array.array, for which * "
-        "repeats and + joins; a future version passes numpy arrays. Annotate both as numpy.ndarray "
-        "to receive numpy arrays now"
+        f"{kind.__name__}.command() receives its forecasts as array.array, for which * repeats; a "
+        "future version passes numpy arrays, as it does now to arguments annotated numpy.ndarray"
     ]
 
 
@@ -70,11 +69,5 @@ def adapt(kind: Any, zone: tzinfo) -> Any:
             returned, self.outlet = returned
         return returned
 
-    if arrays or timed or of_valve:
-        members["command"] = command
-    if not members:
-        return kind
-    named = {"__module__": kind.__module__, "__qualname__": kind.__qualname__}
-    return types.new_class(
-        kind.__name__, (kind,), exec_body=lambda own: own.update(members, **named)
-    )
+    named = {"__module__": kind.__module__, "__qualname__": kind.__qualname__, "command": command}
+    return types.new_class(kind.__name__, (kind,), {}, lambda own: own.update(members | named))

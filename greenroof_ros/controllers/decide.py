@@ -88,10 +88,8 @@ def valid_number(kind: Any, member: str, subject: str, value: Any, valid: Range)
     if value in valid:
         return float(value)
     file, line = find_place(kind, member, "command")
-    both = "; to return (command, outlet), a class needs an attribute such as outlet = 0.0"
     raise ControllerError(
-        f"{valid.expected(value)} (greenroof check-controller detects this before a run)"
-        f"{both if isinstance(value, tuple) else ''}",
+        f"{valid.expected(value)} (greenroof check-controller detects this before a run)",
         file=file, line=line, key=f"{subject} of {kind.__name__} = {describe_value(value)}",
     )
 

@@ -262,15 +262,13 @@ class SteppedForecast:
         hour, _ = self._locate(tick)
         first, hours = self._first + hour, self._hours(hour)
         rain, dried, _ = self._model.forecast(first, hours)
-        weather, later = self._weather, self._weather.hours - first
-        expected = {
-            PRECIPITATION: np.append(rain[0], np.zeros(later)),
-            EVAPOTRANSPIRATION: np.append(dried, np.resize(dried[-24:], later)),
-        }
-        return replace(weather, minutes=None, values=weather.values | {
-            name: np.append(weather.values[name][:first], series[:later])
-            for name, series in expected.items()
-        })
+        values, left = {**self._weather.values}, self._weather.hours - first
+        for name, expected, then in (
+            (PRECIPITATION, rain[0], np.zeros(1)), (EVAPOTRANSPIRATION, dried, dried[-24:])
+        ):
+            later = np.append(expected, np.resize(then, left))[:left]
+            values[name] = np.append(values[name][:first], later)
+        return replace(self._weather, values=values, minutes=None)
 
     def _locate(self, tick: int) -> tuple[int, float]:
         """Return the hour of the run in which a tick begins, and the time since its start (s)."""

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import io
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 from zoneinfo import ZoneInfo
 
 import numpy as np
 from numpy.typing import NDArray
 
 from greenroof_ros.base.errors import ConfigurationError, require_extra
-from greenroof_ros.base.times import epoch_ns
+from greenroof_ros.base.times import epoch_ns, read_start
 from greenroof_ros.results.forked_polars import refuse_forked_polars
 from greenroof_ros.site.site import Site
 
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     import polars
 
 Samples = NDArray[np.float64]
+Time: TypeAlias = str | datetime | None
 
 TRAJECTORY, CSV = "trajectory.parquet", "trajectory.csv"
 """name of the file in a run's directory: for a study or Python, and for the command"""
@@ -130,6 +132,28 @@ class Trajectory:
     layer: Samples | None = None
     mains: Samples | None = None
     wet: Samples | None = None
+
+    def between(self, start: Time, end: Time) -> Trajectory:
+        """Return the samples from one time to another; None stands for the first or last sample.
+
+        Raises:
+            ConfigurationError: if a time is invalid, or if there are fewer than two samples.
+        """
+        low, high = (
+            extreme if time is None
+            else (read_start(str(time), self.start.tzinfo) - self.start).total_seconds()
+            for time, extreme in ((start, 0.0), (end, math.inf))
+        )
+        kept = (low <= self.time) & (self.time <= high)
+        if kept.sum() < 2:
+            raise ConfigurationError("must include two samples of the run", key="start and end")
+        samples: dict[str, Any] = {
+            name: values[kept] for name, values in vars(self).items()
+            if isinstance(values, np.ndarray)
+        }
+        first = samples["time"][0]
+        samples["time"] -= first
+        return replace(self, start=self.start + timedelta(seconds=first), **samples)
 
     def to_frame(self) -> polars.DataFrame:
         """Return a table with the time in its zone, in microseconds, and all arrays.

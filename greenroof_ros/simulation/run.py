@@ -112,10 +112,8 @@ class Run:
 
     def notes(self) -> list[str]:
         """Return notes that a reader should see before the results."""
-        return [
-            *self.weather.warnings(self.site), *note_pumps(self.site),
-            *note_arrays(self.controller.kind),
-        ]
+        kind = self.controller.kind
+        return [*self.weather.warnings(self.site), *note_pumps(self.site), *note_arrays(kind)]
 
     def weather_notes(self) -> list[str]:
         """Return sentences about weather and forecasts that were not used as they were found."""
