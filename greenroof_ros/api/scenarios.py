@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from datetime import datetime
 from functools import cached_property
 from statistics import fmean
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
@@ -289,9 +289,11 @@ def score(
 
 def _play(model: Any, scenario: Scenario, settings: Mapping[str, Any]) -> Result:
     """Return the result of a model's actions in the environment of a scenario."""
-    from greenroof_ros.api.gym import GreenRoofEnv
+    with require_extra("gym"):
+        import gymnasium
 
-    roof = GreenRoofEnv(scenario=scenario.name, **settings)
+    made = gymnasium.make("greenroof_ros.gym:GreenRoof-v1", scenario=scenario.name, **settings)
+    roof: Any = made.unwrapped
     space = getattr(model, "observation_space", roof.observation_space)
     if space.shape != roof.observation_space.shape:
         raise ConfigurationError(
@@ -308,4 +310,4 @@ def _play(model: Any, scenario: Scenario, settings: Mapping[str, Any]) -> Result
         if isinstance(action, tuple) and np.ndim(action[0]):
             action = action[0]
         observation, _, _, ended, _ = roof.step(np.reshape(action, -1))
-    return roof.result()
+    return cast("Result", roof.result())
