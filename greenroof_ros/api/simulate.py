@@ -270,6 +270,10 @@ class Result:
         - ``drainage_m3_per_s``: drainage from the roof
         - ``frost``: 1 during frost, otherwise 0
         - ``drainage_layer_m3``: water volume in the drainage layer of field-capacity soil
+        - ``outlet_command``, ``low_outlet_flow_m3_per_s``: opening of a valve on the low outlet
+          (1), and the part of the outflow through it
+        - ``mains_flow_m3_per_s``: flow of mains water into the cistern, if the site has any
+        - ``wet``: 1 in wet weather, otherwise 0
 
         The flows in the last row are not applied, because the run ends in the state that this row
         shows.
@@ -374,10 +378,12 @@ def simulate(
         controller: ``"mpc"``, ``"onoff"``, ``"anticipating_onoff"``, ``"lookahead"`` or
             ``"package.module:Class"``; a class as described under "Your controller" in the
             documentation; or a function of (state, forecast) that returns the command, the share of
-            the pumps' maximum flow. ``state`` has the attributes time, cistern_level and roof_level
-            (m), cistern and roof (m3), and the site. ``forecast`` has the attributes rain (m/s),
+            the pumps' maximum flow from 0 to 1, or (command, outlet) with the opening of the valve
+            from 0 to 1. ``state`` has the attributes time, cistern_level and roof_level (m),
+            cistern and roof (m3), and the site. ``forecast`` has the attributes rain (m/s),
             evapotranspiration (m3/s) and the ends of its steps (s); for a function, the parameter
-            ``horizon`` (h, 24 by default) is the length of the forecast.
+            ``horizon`` (h, 24 by default) is the length of the forecast. In frost, a function is
+            not called, and the valve keeps its position.
         inputs: the inputs below and the controller's parameters, by name; None for the default.
 
             - ``site``: a site file, or a site from ``gr.read_site``; by default the paper's site.
@@ -545,7 +551,7 @@ def read_bag(path: str | Path, site: str | Path | Site | None = None) -> polars.
             site.
 
     Returns:
-        The columns of :attr:`Result.trajectory`.
+        The columns of :attr:`Result.trajectory`; a recording lacks the mains flow and ``wet``.
 
     Raises:
         ConfigurationError: if the bag is damaged or was not recorded by this package, or if a
