@@ -7,7 +7,7 @@ greenroof check-controller examples.proportional:Proportional
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import numpy as np
 
 from greenroof_ros.base.parameter import Parameter
 from greenroof_ros.site.site import Site
@@ -34,8 +34,8 @@ class Proportional:
         self,
         cistern_level: float,
         roof_level: float,
-        precipitation: Sequence[float],
-        evapotranspiration: Sequence[float],
+        precipitation: np.ndarray,
+        evapotranspiration: np.ndarray,
     ) -> float:
         """Return the command. It depends only on the levels (m), not on the forecasts."""
         if not cistern_level >= self._site.suction_level:

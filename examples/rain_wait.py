@@ -25,16 +25,13 @@ class RainWait:
     def __init__(self, site: Site, horizon: float, command_on: float) -> None:
         self._site, self.command_on = site, command_on
 
-    def command(self, cistern_level, roof_level, precipitation, evapotranspiration) -> float:
+    def command(
+        self, cistern_level: float, roof_level: float, precipitation: np.ndarray,
+        evapotranspiration: np.ndarray,
+    ) -> float:
         """Return the command for the levels (m) and the mean rain of each forecast step (m/s)."""
         missing = self._site.z_veg - roof_level
         known = len(precipitation) == len(self.forecast_ends) - 1
         coming = precipitation @ np.diff(self.forecast_ends) if known else 0.0  # m
         short = missing > 0 and not coming >= missing  # NaN does not count as enough
         return self.command_on if short and cistern_level >= self._site.suction_level else 0.0
-
-    def skip(self) -> None:
-        """Do nothing, since the controller has no state."""
-
-    def statistics(self) -> None:
-        """Return nothing, since the controller has no solver."""

@@ -18,17 +18,22 @@ if TYPE_CHECKING:
     from greenroof_ros.api.environment import Environment
     from greenroof_ros.api.scenarios import scenarios, score
     from greenroof_ros.api.simulate import Result, compare, read_bag, read_site, simulate
+    from greenroof_ros.base.errors import ConfigurationError
+    from greenroof_ros.base.parameter import Parameter
+    from greenroof_ros.controllers.decide import ControllerError
 
 __version__ = "1.0.0"
 
 __all__ = [
-    "Environment", "Result", "calibrate", "compare", "design_storm", "district", "read_bag",
-    "read_site", "scenarios", "score", "simulate", "size", "storms", "study", "verify",
+    "ConfigurationError", "ControllerError", "Environment", "Parameter", "Result", "calibrate",
+    "compare", "design_storm", "district", "read_bag", "read_site", "scenarios", "score",
+    "simulate", "size", "storms", "study", "verify",
 ]
 
 # The module of each of these names.
 _MODULES = {
-    "Environment": "api.environment", "Result": "api.simulate",
+    "ConfigurationError": "base.errors", "ControllerError": "controllers.decide",
+    "Environment": "api.environment", "Parameter": "base.parameter", "Result": "api.simulate",
     "calibrate": "analysis.calibration.result", "compare": "api.simulate",
     "design_storm": "analysis.storms", "district": "analysis.district.result",
     "read_bag": "api.simulate", "read_site": "api.simulate",

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import copy
 import math
+import time
+from array import array
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -12,20 +15,28 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from greenroof_ros.api.simulate import ForecastSteps, FunctionController, SiteState, build_run
+from greenroof_ros.api.simulate import (
+    NEEDS_VALVE,
+    ForecastSteps,
+    FunctionController,
+    Result,
+    SiteState,
+    build_run,
+)
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.processes import count_cores
-from greenroof_ros.controllers.decide import COMMANDS
 from greenroof_ros.controllers.outlet import SHARE
 from greenroof_ros.controllers.registry import choose_class
-from greenroof_ros.forecast.choice import PERFECT
+from greenroof_ros.forecast.choice import PERFECT, ForecastChoice
 from greenroof_ros.forecast.steps import SteppedForecast, make_forecast
 from greenroof_ros.physics.compiled import can_compile, compiled, records
 from greenroof_ros.physics.parameters import Flows, State, plant_parameters
-from greenroof_ros.physics.storm_water import is_wet, time_without_rain
-from greenroof_ros.results.metrics import end_run, find_new_days
+from greenroof_ros.physics.storm_water import HOUR_S, is_wet, time_without_rain
+from greenroof_ros.results.metrics import Results, end_run, find_new_days
+from greenroof_ros.results.sums import MAINS, STRESSED, WET_DISCHARGE, is_stressed
+from greenroof_ros.simulation import summary
 from greenroof_ros.simulation.inputs import find_needs, make_inputs
-from greenroof_ros.simulation.loop import Tick
+from greenroof_ros.simulation.loop import Tick, make_trajectory
 from greenroof_ros.simulation.run import Run
 from greenroof_ros.simulation.season import ALL_KEPT, Case, Control, Season, Ticks, run_ticks
 from greenroof_ros.site.horizon import look_ahead_ends
@@ -36,6 +47,9 @@ Values = NDArray[np.float64]
 # What a command from outside does not change, instead of the parameters of on/off control.
 _PARAMETERS = {"fraction": 0.0, "level": 0.0}
 _CONTROL = Control(0.0, math.inf, -math.inf, 1.0, 1.0, 1.0)
+COUNTED = "wet_discharge_m3", "mains_m3", "stress_hours"
+"""the metrics that :meth:`Roofs.count_storm_water` counts"""
+_PLACES = np.array([WET_DISCHARGE, MAINS, STRESSED])
 # Ticks that are read together, and number of sites that are worth threads.
 _BLOCK, _MIN_SITES = 1024, 64
 
@@ -47,12 +61,16 @@ def restart(run: Run, start: datetime, seed: int | None) -> Run:
         choice = replace(choice, seed=seed)
     if (start, choice) == (run.start, run.forecast_choice):
         return run
-    series = WeatherSeries(run.weather, run.site, start, run.steps)
-    forecast = make_forecast(
-        run.weather, series, run.site, start, run.parameters["horizon"], choice,
+    return _rebuild(replace(run, start=start, forecast_choice=choice))
+
+
+def _rebuild(run: Run) -> Run:
+    """Return a run whose weather, start or choice of forecasts was replaced, with its series."""
+    series = WeatherSeries(run.weather, run.site, run.start, run.steps)
+    return replace(run, series=series, forecast=make_forecast(
+        run.weather, series, run.site, run.start, run.parameters["horizon"], run.forecast_choice,
         *find_needs(run.controller, run.parameters),
-    )
-    return replace(run, start=start, series=series, forecast=forecast, forecast_choice=choice)
+    ))
 
 
 def follow_rain(rain: Any, tau: float, without_rain: float) -> Any:
@@ -77,45 +95,63 @@ class Roofs:
 
     Attributes:
         runs: the run of each of n sites.
+        sites: their states, sums and kept ticks.
         tick: number of the current tick.
         left: number of ticks until the end of the runs.
     """
 
-    def __init__(self, runs: Sequence[Run]) -> None:
-        """Begin with tick 0 of the run of each site."""
+    def __init__(self, runs: Sequence[Run], keeps: bool = False) -> None:
+        """Begin with tick 0 of the run of each site.
+
+        Args:
+            runs: the runs.
+            keeps: whether to keep all ticks and events of a single run.
+        """
         run, self.runs, count = runs[0], runs, len(runs)
         self.tick, self.left = 0, run.steps
-        self._first, self._end, self._plant = 0, 0, plant_parameters(run.site)
+        self._ticks: Any = None
+        self._first, self._until, self._plant = 0, 0, plant_parameters(run.site)
         cases = [Case(run.site, _PARAMETERS, each, each.x1, each.x2) for each in runs]
-        season = Season(cases, 0, 0, can_compile())
+        self._keeps, self._units = keeps, np.array([1.0, 1.0, run.site.tau / HOUR_S])
+        self._counted = np.zeros((count, len(COUNTED)))
+        season = Season(cases, int(keeps), int(keeps), can_compile())
         # From an old pool, threads end by themselves.
         self._map: Any = ThreadPoolExecutor(count_cores()).map if count >= _MIN_SITES else map
         kind = np.ndarray if can_compile() else np.recarray
-        self._sites = season.sites._replace(
+        self.sites = season.sites._replace(
             runs=np.arange(count), controls=records([_CONTROL] * count).view(kind)
         )
         self._errors, self._parts = season.errors, season.parts
         self._without_rain = np.array([[each.without_rain_s] for each in runs])
         begins = [each.time_ns(0) / 1e9 for each in runs]
         self._new_days = [find_new_days(run.site, begin, run.steps) for begin in begins]
-        self._read(0)
+        self.read(0)
 
-    def _read(self, last: int) -> None:
-        """Read the ticks from the current one to another (exclusive) or more, up to the end's."""
+    def read(self, last: int, certain: int = 0) -> None:
+        """Read the ticks from the current one to another (exclusive) or more, up to the end's.
+
+        The first ticks keep the rain and the evapotranspiration that were read before, if they are
+        certain.
+        """
         run, site, first = self.runs[0], self.runs[0].site, self.tick
         last = min(max(last, first + _BLOCK), run.steps + 1)
         rain, potential, frost, quiet, other = map(np.array, zip(
             *(each.read_ticks(first, last, site) for each in self.runs), strict=True
         ))
+        place = first - self._first
+        if certain:
+            for new, old in (rain, self._ticks.rain), (potential, self._ticks.potential):
+                known = old[:, place : place + certain]
+                new[:, : known.shape[1]] = known
         self._without_rain = np.array([
-            compiled(follow_rain)(of_run, site.tau, times[first - self._first])
+            compiled(follow_rain)(of_run, site.tau, times[place])
             for of_run, times in zip(rain, self._without_rain, strict=True)
         ])
         wet = is_wet(self._without_rain[:, 1:], site.tau, self._plant.wet_after_s)
         new_day = np.array([np.isin(np.arange(first, last), days) for days in self._new_days])
         errors = self._errors[first:last]
         self._ticks = Ticks(first, rain, potential, frost, wet, quiet, new_day, other, errors)
-        self._first, self._end = first, last
+        self._first, self._until = first, last
 
     def follow(self, commands: Any, ticks: int) -> Values:
         """Simulate some ticks with the same commands, or fewer up to the end of the runs.
@@ -135,29 +171,45 @@ class Roofs:
         if not self.left:
             raise ConfigurationError("has ended; call reset() to restart it", key="the run")
         first, last = self.tick, self.tick + min(ticks, self.left)
-        if last >= self._end:
-            self._read(last + 1)
-        controls = self._sites.controls
+        if last >= self._until:
+            self.read(last + 1)
+        controls = self.sites.controls
         controls["fraction"], controls["policy"] = np.transpose(commands)
         # A single tick is kept: it is a multiple of itself.
-        kept = np.zeros((len(controls), 2 if ticks == 1 else 0, len(ALL_KEPT)))
-        self._sites = self._sites._replace(kept=kept)
+        every, rows_kept, steps = max(1, first), 2 if ticks == 1 else 0, -1
+        if self._keeps:  # with the state at the end, whose flows are not applied
+            every, steps = 1, self.runs[0].steps
+        elif self.sites.kept.shape[1] != rows_kept:
+            kept = np.zeros((len(controls), rows_kept, len(ALL_KEPT)))
+            self.sites = self.sites._replace(kept=kept)
         simulate: Any = compiled(run_ticks)
 
         def run(part: tuple[slice, Any, Any]) -> None:
             rows, _, hydrograph = part
-            sites = type(self._sites)(*(each[rows] for each in self._sites))
-            simulate(sites, self._ticks, first, last, hydrograph, max(1, first), -1)
+            sites = self.sites
+            if len(self._parts) > 1:
+                sites = type(sites)(*(each[rows] for each in sites))
+            simulate(sites, self._ticks, first, last + (last == steps), hydrograph, every, steps)
 
         list(self._map(run, self._parts))
         self.tick, self.left, p = last, self.left - (last - first), self._plant
-        rewards: Values = -(self._sites.missed + abs(self.levels[:, 1] * p.a2 - p.x2_star))
+        rewards: Values = -(self.sites.missed + abs(self.levels[:, 1] * p.a2 - p.x2_star))
         return rewards
+
+    def count_storm_water(self) -> Values:
+        """Return :data:`COUNTED` since the last call, shape (n, 3)."""
+        sums: Any = self.sites.sums
+        if not isinstance(sums, np.ndarray):
+            sums = np.array([row[: MAINS + 1] for row in sums])
+        totals = sums[:, _PLACES] * self._units
+        counted: Values = totals - self._counted
+        self._counted = totals
+        return counted
 
     @property
     def levels(self) -> Values:
         """Readings of the sensors in the cisterns and on the roofs (m), shape (n, 2)."""
-        levels: Values = np.array(self._sites.state)[:, :2] / (self._plant.a1, self._plant.a2)
+        levels: Values = np.array(self.sites.state)[:, :2] / (self._plant.a1, self._plant.a2)
         if len(self._errors):
             levels[:, 1] = np.maximum(0.0, levels[:, 1] + self._errors[self.tick])
         return levels
@@ -190,27 +242,52 @@ class Roofs:
         """Simulate a tick with commands as of :meth:`follow`, and return it for every site."""
         readings, k, ticks = self.levels.tolist(), self.tick, list[Tick]()
         self.follow(commands, 1)
-        for levels, kept in zip(readings, self._sites.kept[:, min(k, 1)].tolist(), strict=True):
+        for levels, kept in zip(readings, self.sites.kept[:, min(k, 1)].tolist(), strict=True):
             (
                 cistern, roof, rain, demand, command, pump, outflow, drained, frost, layer, outlet,
-                low_outlet, other, other_demand, evaporated, limited, mains,
+                low_outlet, other, other_demand, mains, wet, evaporated, limited,
             ) = kept
             flows = Flows(
                 outflow, pump, drained, evaporated, limited > 0, mains, low_outlet, other,
                 other_demand,
             )
             ticks.append(Tick._make((
-                k, cistern, roof, layer, *levels, rain, demand, frost, command, flows, outlet
+                k, cistern, roof, layer, *levels, rain, demand, frost, command, flows, outlet,
+                wet > 0, is_stressed(self._plant, roof),
             )))
         return ticks
 
-    def metrics(self) -> list[dict[str, float]]:
-        """Return the metrics of every site, as if the runs ended now."""
-        site, now = self.runs[0].site, self._sites
+    def results(self) -> list[Results]:
+        """Return the results of every site, as if the runs ended now."""
+        site, now = self.runs[0].site, self.sites
         return [
-            end_run(site, [*map(float, sums)], events, State(*map(float, state))).metrics
+            end_run(site, [*map(float, sums)], events, State(*map(float, state)))
             for sums, events, state in zip(now.sums, now.events, now.state, strict=True)
         ]
+
+
+def play_again(run: Run, played: array[float]) -> Result:
+    """Return the result of a run.
+
+    Args:
+        run: the run.
+        played: command to the pumps, opening of the valve and number of ticks, again and again.
+
+    Raises:
+        ConfigurationError: if the run has not ended.
+    """
+    roofs, began = Roofs([run], keeps=True), time.monotonic()
+    for command, outlet, ticks in np.reshape(played, (-1, 3)).tolist():
+        roofs.follow([(command, outlet)], int(ticks))
+    if roofs.left:
+        raise ConfigurationError("has a result only after its last tick", key="the run")
+    (results,) = roofs.results()
+    made = summary.make_summary(run, *results, wall_s=time.monotonic() - began, solver=None)
+    return Result(run, made, make_trajectory(run, roofs.sites.kept[0], 1))
+
+
+class _Program(FunctionController):
+    """The controller of an environment's run: commands from outside."""
 
 
 class Environment:
@@ -218,7 +295,9 @@ class Environment:
 
     During frost and quiet hours, and on a roof without irrigation, the command is treated as 0. At
     a site with a valve on its low outlet, the program can also command the valve. Copies made with
-    ``copy.deepcopy`` or ``pickle`` continue from the same tick with bit-identical results.
+    ``copy.deepcopy`` or ``pickle`` continue from the same tick with bit-identical results; such a
+    copy knows the weather to come. For a search over commands, :meth:`model` predicts with the
+    forecast.
 
     Example:
         >>> import greenroof_ros as gr
@@ -245,7 +324,7 @@ class Environment:
         Raises:
             ConfigurationError: if an input is invalid.
         """
-        self._run = run = build_run(make_inputs(choose_class(FunctionController), inputs))
+        self._run = run = build_run(make_inputs(choose_class(_Program), inputs))
         self.site, self._ends = run.site, look_ahead_ends(run.site, run.parameters["horizon"])
         self._own_steps = run.controller.count_own_steps(run.site, run.parameters)
         self.reset()
@@ -265,14 +344,14 @@ class Environment:
         """
         self._run = run = restart(self._run, self._run.start, seed)
         self._roofs = Roofs([run])
-        self._policy = run.make_outlet(run.make_controller())
+        self._policy, self._played = run.make_outlet(run.make_controller()), array("d")
         return self.state
 
     def step(self, command: float, outlet: float | None = None) -> Tick:
         """Run one tick with the given command, and return the results of the tick.
 
         Args:
-            command: share of the pumps' maximum flow (1), finite and non-negative.
+            command: share of the pumps' maximum flow (1), from 0 to 1.
             outlet: opening of the valve on the low outlet as a share (1), from 0 to 1; None to
                 leave the valve to its policy.
 
@@ -286,7 +365,7 @@ class Environment:
             >>> tick.k, tick.command, round(1000 * tick.flows.pump, 2)
             (0, 0.5, 4.18)
         """
-        share, opening = COMMANDS.read(float(command), key="command"), 1.0
+        share, opening = SHARE.read(float(command), key="command"), 1.0
         if self._policy is not None:
             # Called in every tick, because it counts the time without rain.
             rain, evaporated, *_ = self._run.forecast.at(self._roofs.tick)
@@ -294,11 +373,51 @@ class Environment:
             opening = self._policy(cistern, roof, rain, evaporated)
         if outlet is not None:
             if self._policy is None:
-                raise ConfigurationError(
-                    "needs a site with a valve (low_outlet_valve: true)", key="outlet", value=outlet
-                )
+                raise ConfigurationError(NEEDS_VALVE, key="outlet", value=outlet)
             opening = SHARE.read(float(outlet), key="outlet")
-        return self._roofs.act([(share, opening)])[0]
+        (tick,) = self._roofs.act([(share, opening)])
+        self._played.extend((share, opening, 1))
+        return tick
+
+    def model(self) -> Environment:
+        """Return a copy that ends with the forecast of this tick, and in which it comes true.
+
+        The present rain and evapotranspiration are those of the site. Frost is that of the record.
+        A search over commands in the copy knows no more than :attr:`forecast`. The copy has no
+        :meth:`result`.
+
+        Example:
+            >>> import greenroof_ros as gr
+            >>> model = gr.Environment(hours=6, horizon=2, forecast="errors").model()
+            >>> while not model.done:
+            ...     tick = model.step(0.0)
+            >>> tick.k, model.metrics["pumped_m3"]
+            (7199, 0.0)
+        """
+        run, model, tau = self._run, copy.deepcopy(self), self.site.tau
+        roofs = model._roofs
+        assert isinstance(run.forecast, SteppedForecast)
+        weather = run.forecast.as_records(roofs.tick)
+        model._run = _rebuild(replace(run, weather=weather, forecast_choice=ForecastChoice()))
+        roofs.runs, roofs.left = [model._run], min(roofs.left, int(self._ends[-1] / tau))
+        roofs.read(roofs.tick, certain=max(1, round(float(self._ends[1]) / tau)))
+        return model
+
+    def result(self) -> Result:
+        """Return the result of the run after its last tick, as :func:`.simulate` does.
+
+        Raises:
+            ConfigurationError: if the run has not ended.
+
+        Example:
+            >>> import greenroof_ros as gr
+            >>> roof = gr.Environment(hours=1)
+            >>> while not roof.done:
+            ...     tick = roof.step(0.5)
+            >>> roof.result().trajectory["command"].sum()
+            1800.5
+        """
+        return play_again(self._run, self._played)
 
     @property
     def state(self) -> SiteState:
@@ -349,4 +468,4 @@ class Environment:
             >>> roof.metrics["pump_starts"]
             1
         """
-        return self._roofs.metrics()[0]
+        return self._roofs.results()[0].metrics

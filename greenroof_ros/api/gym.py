@@ -10,20 +10,24 @@ With the prefix ``greenroof_ros.gym:``, any process can find them:
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from array import array
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
-from datetime import timedelta
+from dataclasses import replace
+from datetime import datetime, timedelta
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from greenroof_ros.api.environment import Roofs, restart
-from greenroof_ros.api.simulate import FunctionController, SiteState, build_run
-from greenroof_ros.base.errors import ConfigurationError, require_extra
+from greenroof_ros.api.environment import COUNTED, Roofs, play_again, restart
+from greenroof_ros.api.scenarios import STORM_WATER, find_scenario, weigh
+from greenroof_ros.api.simulate import FunctionController, Result, SiteState, warn
+from greenroof_ros.base.errors import ConfigurationError, require_extra, suggest_names
 from greenroof_ros.base.ranges import Range
 from greenroof_ros.controllers.registry import choose_class
-from greenroof_ros.simulation.inputs import make_inputs
+from greenroof_ros.forecast.choice import ENSEMBLE, ERRORS, ForecastChoice
+from greenroof_ros.simulation.inputs import INPUTS, make_inputs
 from greenroof_ros.simulation.loop import Tick
 from greenroof_ros.simulation.run import Run
 from greenroof_ros.site.horizon import look_ahead_ends
@@ -43,6 +47,7 @@ Values = NDArray[np.float32]
 _MAX_RAIN, _MAX_EVAPOTRANSPIRATION = 50.0 / 3.6e6, 12.0 / 1000 / 86400
 _TICKS = Range(1, 1e9, whole=True)
 _RANDOM, _MAX_DRAWS = "random", 100
+_OWN = "scenario", "draw", "reward", "decision_ticks"
 
 
 class _Agent(FunctionController):
@@ -52,6 +57,8 @@ class _Agent(FunctionController):
 
 
 _AGENT = choose_class(_Agent)
+# What may be given with a scenario, and with random starts in its years to train on.
+_FREE, _IN_TRAINING = {"horizon"}, {"horizon", "start", "hours"}
 
 
 def read_actions(actions: Any, shape: Any) -> NDArray[np.float64]:
@@ -88,15 +95,24 @@ class GreenRoofEnv(gymnasium.Env[Values, Values]):
       are rejected.
     - Reward: the negative deviation from the target volume (m3) after a tick, summed over the ticks
       of the step. The sum over an episode is therefore the negative of ``total_deviation_m3``
-      without the first tick, which no action can change.
+      without the first tick, which no action can change. At a site with a valve, it is the negative
+      score for storm water: of the discharge in wet weather (m3), plus 0.3 times the mains water
+      (m3), plus 0.01 times the water stress (h).
+      In each case, the ``initial_score`` in the ``info`` of ``reset`` minus the sum of the rewards
+      is the ``score`` in the last ``info``.
+    - Scenario: with ``scenario="dry-month"``, an episode is what :func:`.score` judges, whatever
+      the seed of ``reset``, and its rewards are parts of this score. With ``start="random"`` as
+      well, an episode is a season of one of the scenario's years to train on.
     - Episode: the N ticks of the window, each ``site.tau`` long. A step with one action lasts
       ``decision_ticks`` ticks, and the pumps' minimum times and the roof's limits apply in every
       tick. An episode ends with ``truncated``, because the roof has no terminal state;
-      ``terminated`` is always false. The ``info`` of the last step contains the ``metrics`` of the
-      run, under their names in ``summary.json``.
+      ``terminated`` is always false. Every ``info`` contains the ``wet_discharge_m3``, ``mains_m3``
+      and ``stress_hours`` of the step, and the last one the ``metrics`` of the run, under their
+      names in ``summary.json``.
     - Random numbers, seeded by ``reset(seed=...)``: with ``forecast="errors"`` or ``"ensemble"``,
-      they determine the forecast errors. With ``start="random"``, they determine the start, which
-      is on a full hour from which weather and forecasts cover an episode.
+      they determine the forecast errors, unless ``forecast_seed`` is given. With
+      ``start="random"``, they determine the start, which is on a full hour from which weather and
+      forecasts cover an episode.
 
     Example:
         >>> import gymnasium
@@ -115,14 +131,18 @@ class GreenRoofEnv(gymnasium.Env[Values, Values]):
     metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012 (as the base class has it)
 
     def __init__(
-        self, *, reward: Callable[[Tick, SiteState], float] | None = None,
-        decision_ticks: int = 1, **inputs: Any,
+        self, *, scenario: str | None = None, draw: int | None = None,
+        reward: Callable[[Tick, SiteState], float] | None = None, decision_ticks: int = 1,
+        **inputs: Any,
     ) -> None:
         """Create the environment from the inputs of :class:`.Environment`.
 
         Args:
+            scenario: name of one of ``gr.scenarios``, which fixes all inputs except ``horizon``;
+                and, with ``start="random"``, ``hours``, the length of an episode.
+            draw: seed of the forecasts' errors, as one of ``seeds`` in :func:`.score`.
             reward: function that returns the reward for a tick from the results of the tick and the
-                state after it; None for the negative deviation.
+                state after it; None for the default.
             decision_ticks: number of ticks for which an action applies; the last action may be cut
                 short by the end of the window.
             inputs: site, weather, start, hours, forecast, horizon (h) and others; start can also
@@ -133,20 +153,34 @@ class GreenRoofEnv(gymnasium.Env[Values, Values]):
         """
         self._decision_ticks = int(_TICKS.read(decision_ticks, key="decision_ticks"))
         self._reward, self._is_random = reward, inputs.get("start") == _RANDOM
+        self._scenario = None if scenario is None else find_scenario(scenario)
+        names = [*_OWN, *INPUTS, *_AGENT.parameters]
+        for name in inputs.keys() - names:
+            wrong = f"is not an input; {suggest_names(name, names)}"
+            raise ConfigurationError(wrong, key=name, value=inputs[name])
+        if (fixed := self._scenario) is not None:
+            for name in inputs.keys() - (_IN_TRAINING if self._is_random else _FREE):
+                raise ConfigurationError("is fixed by the scenario", key=name, value=inputs[name])
+            inputs = (fixed.training_inputs if self._is_random else fixed.inputs) | inputs
+        if draw is not None:
+            inputs["forecast_seed"] = draw
         if self._is_random:  # until the first one is drawn
             known = make_inputs(_AGENT, {**inputs, "start": None})
             weather, _ = known.read_records(known.read_site())
             inputs.update(weather=weather, start=weather.first)
-        self._own = build_run(make_inputs(_AGENT, inputs))
+        self._has_seed = inputs.get("forecast_seed") is not None
+        self._own = self._make_run(inputs)
+        if self._scenario is None and not self._is_random:
+            warn([*self._own.notes(), *self._own.weather_notes()], level=3)
         self._inputs, self.site = {**inputs, "weather": self._own.weather}, self._own.site
+        self._weigh()
         self.ends = look_ahead_ends(self.site, self._own.parameters["horizon"])
-        steps = len(self.ends) - 1
+        steps, has_valve = len(self.ends) - 1, self.site.low_outlet_valve
         self._scale = np.array([
             1.5 * self.site.z_o, 2.0 * self.site.z_veg, *[_MAX_RAIN] * steps,
-            *[_MAX_EVAPOTRANSPIRATION * self.site.a2] * steps,
+            *[_MAX_EVAPOTRANSPIRATION * self.site.a2] * steps, *[1.0] * has_valve,
         ])
-        has_valve = self.site.low_outlet_valve
-        self.observation_space = Box(0.0, 1.0, (len(self._scale) + has_valve,), np.float32)
+        self.observation_space = Box(0.0, 1.0, self._scale.shape, np.float32)
         self.action_space = Box(0.0, 1.0, (1 + has_valve,), np.float32)
 
     def reset(
@@ -160,13 +194,13 @@ class GreenRoofEnv(gymnasium.Env[Values, Values]):
 
         Returns:
             The observation, and a dictionary with ``start``, ``cistern_m3`` and ``roof_m3`` of the
-            episode.
+            episode, and with ``initial_score``, which is what the initial state would cost.
 
         Raises:
             ConfigurationError: if an option is invalid.
         """
         super().reset(seed=seed)
-        self._roofs = self.begin([self.np_random], options)
+        self._roofs, self._played = self.begin([self.np_random], options), array("d")
         (info,) = self.describe(self._roofs)
         return self.observe(self._roofs)[0], info
 
@@ -177,10 +211,41 @@ class GreenRoofEnv(gymnasium.Env[Values, Values]):
             ConfigurationError: if the action is not one number from 0 to 1 (two numbers at a site
                 with a valve), or if the episode has ended.
         """
-        roofs = self._roofs
-        (reward,) = self.play(roofs, read_actions(action, self.action_space.shape)).tolist()
-        info = {"metrics": roofs.metrics()[0]} if not roofs.left else {}
-        return self.observe(roofs)[0], reward, False, not roofs.left, info
+        roofs, commands = self._roofs, read_actions(action, self.action_space.shape)
+        begin = roofs.tick
+        rewards, storm_water = self.play(roofs, commands)
+        self._played.extend((*commands[0], roofs.tick - begin))
+        info = dict(zip(COUNTED, storm_water[0].tolist(), strict=True))
+        if not roofs.left:
+            info |= self.judge(roofs)[0]
+        return self.observe(roofs)[0], float(rewards[0]), False, not roofs.left, info
+
+    def result(self) -> Result:
+        """Return the result of an episode that has ended; see :meth:`.Environment.result`.
+
+        Raises:
+            ConfigurationError: if the episode has not ended.
+        """
+        return play_again(self._roofs.runs[0], self._played)
+
+    def _make_run(self, inputs: Mapping[str, Any]) -> Run:
+        """Build a run; for random starts, the errors of its forecasts are drawn with the start."""
+        made = make_inputs(_AGENT, inputs)
+        if self._has_seed or not (self._is_random and made.forecast.model in (ERRORS, ENSEMBLE)):
+            return made.build()
+        run = replace(made, forecast=ForecastChoice()).build()
+        return replace(run, forecast_choice=made.forecast)
+
+    def _weigh(self) -> None:
+        """Set what a deviation (m3) and each of :data:`.COUNTED` cost."""
+        m3_per_mm = (self._own.steps + 1) * self.site.a2 / 1000
+        self._weights: Mapping[str, float] = {"mean_deviation_mm": m3_per_mm}
+        if self._scenario is not None:
+            self._weights = self._scenario.weights
+        elif self.site.low_outlet_valve:
+            self._weights = STORM_WATER
+        self._of_deviation = self._weights.get("mean_deviation_mm", 0.0) / m3_per_mm
+        self._of_storm_water = [self._weights.get(name, 0.0) for name in COUNTED]
 
     def begin(
         self, randoms: Iterable[np.random.Generator], options: Mapping[str, Any] | None
@@ -189,47 +254,86 @@ class GreenRoofEnv(gymnasium.Env[Values, Values]):
         options = options or {}
         for name in options.keys() - {"start", "initial"}:
             raise ConfigurationError("must be start or initial", key="option", value=name)
-        run = build_run(make_inputs(_AGENT, {**self._inputs, **options})) if options else self._own
-        is_random = self._is_random and "start" not in options
-        return Roofs([_draw_run(run, random, is_random) for random in randoms])
+        run = self._make_run({**self._inputs, **options}) if options else self._own
+        starts, hours = [run.start], 1
+        if self._is_random and "start" not in options:
+            record = run.weather.end - run.weather.first
+            length = (run.steps + run.site.M) * run.site.tau
+            last = (record - timedelta(seconds=length)) // HOUR
+            starts, hours = [run.weather.first], 1 + max(0, last)
+            if self._scenario is not None:
+                starts, hours = self._scenario.training_starts(run.steps * run.site.tau / 3600)
+        return Roofs([_draw_run(run, random, starts, hours, self._has_seed) for random in randoms])
 
-    def play(self, roofs: Roofs, commands: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Apply commands during the ticks of one step, and return the rewards, shape (n,)."""
+    def play(
+        self, roofs: Roofs, commands: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Apply commands during the ticks of one step.
+
+        Returns:
+            The rewards, shape (n,), and the :data:`.COUNTED` of the step, shape (n,
+            3).
+
+        Raises:
+            ConfigurationError: if a reward is not finite.
+        """
         if self._reward is None:
-            return roofs.follow(commands, self._decision_ticks)
+            rewards = self._of_deviation * roofs.follow(commands, self._decision_ticks)
+            storm_water = roofs.count_storm_water()
+            for weight, values in zip(self._of_storm_water, storm_water.T, strict=True):
+                if weight:
+                    rewards -= weight * values
+            return rewards, storm_water
         rewards = np.zeros(len(commands))
         for _ in range(min(self._decision_ticks, max(1, roofs.left))):
             rewards += [*map(self._reward, roofs.act(commands), roofs.states)]
-        return rewards
+        if not np.isfinite(rewards).all():
+            raise ConfigurationError("must be finite numbers", key="rewards", value=rewards)
+        return rewards, roofs.count_storm_water()
+
+    def judge(self, roofs: Roofs) -> list[dict[str, Any]]:
+        """Return what the ``info`` of the last step of each episode contains."""
+        ends = roofs.results()
+        return [{"metrics": each, "score": weigh(self._weights, each)} for each, _ in ends]
 
     def observe(self, roofs: Roofs) -> Values:
         """Return the observations of roofs, shape (n, entries)."""
-        values = np.hstack((roofs.levels, roofs.forecasts)) / self._scale
+        parts = [roofs.levels, roofs.forecasts]
         if self.site.low_outlet_valve:
-            values = np.column_stack((values, roofs.wet_left))
-        return np.asarray(np.clip(values, 0.0, 1.0), np.float32)
+            parts.append(roofs.wet_left[:, np.newaxis])
+        shares: Values = np.minimum(np.hstack(parts) / self._scale, 1.0).astype(np.float32)
+        return shares
 
     def describe(self, roofs: Roofs) -> list[dict[str, Any]]:
         """Return the ``info`` of the beginning of each episode."""
         return [
-            {"start": each.time.isoformat(), "cistern_m3": each.cistern, "roof_m3": each.roof}
+            {"start": each.time.isoformat(), "cistern_m3": each.cistern, "roof_m3": each.roof,
+             "initial_score": self._of_deviation * abs(each.roof - self.site.x2_star)}
             for each in roofs.states
         ]
 
 
-def _draw_run(run: Run, random: np.random.Generator, is_random: bool) -> Run:
-    """Draw the seed of a run's forecasts, and a full hour from which the record covers the run.
+def _draw_run(
+    run: Run, random: np.random.Generator, starts: Sequence[datetime], hours: int, has_seed: bool
+) -> Run:
+    """Draw the start of a run, and the seed of its forecasts unless it has one.
+
+    Args:
+        run: the run.
+        random: the random numbers.
+        starts: possible starts.
+        hours: number of hours from each of them in which a run may start.
+        has_seed: whether the seed of the forecasts is given.
 
     Raises:
         ConfigurationError: if the record contains too many missing hours.
     """
-    start, record = run.start, run.weather.end - run.weather.first
-    last = (record - timedelta(seconds=(run.steps + run.site.M) * run.site.tau)) // HOUR
     for _ in range(_MAX_DRAWS):
-        if is_random:
-            start = run.weather.first + int(random.integers(max(0, last) + 1)) * HOUR
+        count = len(starts) * hours
+        first, hour = divmod(int(random.integers(count)) if count > 1 else 0, hours)
+        seed = None if has_seed else int(random.integers(2**31))
         with suppress(ConfigurationError):
-            return restart(run, start, int(random.integers(2**31)))
+            return restart(run, starts[first] + hour * HOUR, seed)
     raise ConfigurationError(
         f"lacks hours in {_MAX_DRAWS} random episodes; gaps='fill' fills them", key="weather"
     )
@@ -320,9 +424,13 @@ class GreenRoofVectorEnv(VectorEnv[Values, Values, NDArray[Any]]):
         if not roofs.left:
             observations, infos = self.reset()
             return observations, np.zeros(self.num_envs), never, never.copy(), infos
-        rewards = self._single.play(roofs, read_actions(actions, self.action_space.shape))
-        metrics, ended = ([], never.copy()) if roofs.left else (roofs.metrics(), ~never)
-        infos = self._collect({"metrics": each} for each in metrics)
+        rewards, storm_water = self._single.play(
+            roofs, read_actions(actions, self.action_space.shape)
+        )
+        judged, ended = ([], never.copy()) if roofs.left else (self._single.judge(roofs), ~never)
+        infos = self._collect(judged)
+        for name, values in zip(COUNTED, storm_water.T, strict=True):
+            infos |= {name: values.copy(), f"_{name}": ~never}
         return self._single.observe(roofs), rewards, never, ended, infos
 
     def _collect(self, infos: Iterable[dict[str, Any]]) -> dict[str, Any]:

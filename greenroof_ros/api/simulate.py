@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime, timedelta
@@ -15,14 +15,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greenroof_ros.base.errors import ConfigurationError, rename_keys, require_extra
-from greenroof_ros.base.files import default_site_file
+from greenroof_ros.base.files import default_site_file, find_shipped
 from greenroof_ros.base.parameter import Parameter
 from greenroof_ros.base.times import duration, to_minutes
+from greenroof_ros.controllers.decide import valid_number
+from greenroof_ros.controllers.outlet import SHARE
 from greenroof_ros.controllers.registry import ControllerChoice, choose_class, find_controller
 from greenroof_ros.physics.storm_water import Event
 from greenroof_ros.results.forked_polars import make_frame
 from greenroof_ros.results.metrics import METRICS
-from greenroof_ros.results.trajectory import COLUMNS, TRAJECTORY, Trajectory, zone_name
+from greenroof_ros.results.trajectory import COLUMNS, TRAJECTORY, Time, Trajectory, zone_name
 from greenroof_ros.simulation import loop, summary
 from greenroof_ros.simulation.directory import make_run_directory, write_configuration
 from greenroof_ros.simulation.inputs import RunInputs, make_inputs
@@ -45,7 +47,8 @@ def read_site(path: str | Path | None = None, **changes: Any) -> Site:
     the target level ``z_veg`` changes.
 
     Args:
-        path: path of the file; None for the paper's site.
+        path: path of the file, or name of a file of this package such as ``site_valve.yaml``; None
+            for the paper's site.
         changes: values that replace those in the file, each under the name of a parameter or of a
             key that the file itself uses, such as ``cistern_volume`` and ``roof_area``.
 
@@ -58,7 +61,7 @@ def read_site(path: str | Path | None = None, **changes: Any) -> Site:
         >>> round(site.x2_star, 3), site.a2
         (2.752, 68.8)
     """
-    return site_file.read_site(Path(path or default_site_file()), changes)
+    return site_file.read_site(find_shipped(Path(path or default_site_file())), changes)
 
 
 def build_run(inputs: RunInputs) -> Run:
@@ -70,9 +73,14 @@ def build_run(inputs: RunInputs) -> Run:
         ConfigurationError: if an input is invalid.
     """
     run = inputs.build()
-    for note in (*run.notes(), *run.weather_notes()):
-        warnings.warn(note, stacklevel=3)
+    warn([*run.notes(), *run.weather_notes()], level=4)
     return run
+
+
+def warn(notes: Iterable[str], level: int) -> None:
+    """Issue notes as warnings that name the line at a level of the stack, in which this is 1."""
+    for note in notes:
+        warnings.warn(note, stacklevel=level)
 
 
 class SiteState(NamedTuple):
@@ -113,8 +121,11 @@ class ForecastSteps(NamedTuple):
     ``ends[i]`` to ``ends[i + 1]``"""
 
 
-Function = Callable[[SiteState, ForecastSteps], float]
-"""A controller: a function that returns the command, as a share of the pumps' maximum flow (1)."""
+Function = Callable[[SiteState, ForecastSteps], Any]
+"""A controller: a function that returns the command, as a share of the pumps' maximum flow from 0
+to 1; or the command and the opening of the valve on the low outlet, as a share from 0 to 1, or None
+to leave the valve to its policy."""
+NEEDS_VALVE = "needs a site with a valve (low_outlet_valve: true)"
 
 
 class FunctionController:
@@ -128,20 +139,37 @@ class FunctionController:
     forecast_ends: Values = np.empty(0)
     start: datetime
     """start of the run, which is set before the run"""
+    opening: float | None = None
+    """opening of the valve that the function returned last; None to leave it to the policy"""
+    time_ns = 0
 
     def __init__(self, site: Site, horizon: float) -> None:
         self._site, self._tick = site, -1
 
     def command(self, cistern_level: float, roof_level: float, *forecast: Any) -> float:
-        """Return the result of the function, as a float if it is a number or an array of one."""
+        """Return the command of the function, and note the opening of the valve.
+
+        Raises:
+            ControllerError: if one of them is not a number from 0 to 1, or an array of one.
+            ConfigurationError: if the function commands a valve that the site does not have.
+        """
         self._tick += 1
         time = self.start + timedelta(seconds=self._tick * self._site.tau)
         state = SiteState(time, cistern_level, roof_level, self._site)
         steps = ForecastSteps._make(map(np.asarray, (*forecast, self.forecast_ends)))
-        command: Any = type(self).function(state, steps)
+        returned = type(self).function(state, steps)
+        both = isinstance(returned, tuple) and len(returned) == 2
+        command, self.opening = returned if both else (returned, None)
+        if self.opening is not None:
+            if not self._site.low_outlet_valve:
+                raise ConfigurationError(NEEDS_VALVE, key="outlet", value=self.opening)
+            self.opening = self._read("the opening of the valve", self.opening)
+        return self._read("the command", command)
+
+    def _read(self, subject: str, value: Any) -> float:
         with suppress(TypeError, ValueError):  # anything else is rejected, and named
-            command = np.asarray(command, np.float64).item()
-        return command  # type: ignore[no-any-return]
+            value = np.asarray(value, np.float64).item()
+        return valid_number(type(self), "command", subject, value, SHARE)
 
     def skip(self) -> None:
         """Count a tick in which the pump must not run."""
@@ -242,6 +270,10 @@ class Result:
         - ``drainage_m3_per_s``: drainage from the roof
         - ``frost``: 1 during frost, otherwise 0
         - ``drainage_layer_m3``: water volume in the drainage layer of field-capacity soil
+        - ``outlet_command``, ``low_outlet_flow_m3_per_s``: opening of a valve on the low outlet
+          (1), and the part of the outflow through it
+        - ``mains_flow_m3_per_s``: flow of mains water into the cistern, if the site has any
+        - ``wet``: 1 in wet weather, otherwise 0
 
         The flows in the last row are not applied, because the run ends in the state that this row
         shows.
@@ -284,16 +316,22 @@ class Result:
             .dt.convert_time_zone(zone)
         )
 
-    def plot(self) -> altair.VConcatChart:
-        """Return a chart of rain, roof level, cistern level, pump flow and any flow to the sewer.
+    def plot(self, start: Time = None, end: Time = None) -> altair.VConcatChart:
+        """Return a chart of rain, roof and cistern level, pump flow, and any flow to the sewer.
 
-        A notebook shows the chart as a picture. ``.save("run.png")`` writes it to a file, which can
-        also be .svg or .html (``inline=True`` for a page that needs no internet connection). For a
-        long run, the chart contains the smallest and the largest value in each of about 250
-        intervals.
+        At a site with a valve, it includes the valve's opening. A notebook shows the chart as a
+        picture. ``.save("run.png")`` writes it to a file, which can also be .svg or .html
+        (``inline=True`` for a page that needs no internet connection). For a long run, the chart
+        contains the smallest and the largest value in each of about 250 intervals.
+
+        Args:
+            start: beginning of the chart, at the UTC offset of the run's start unless it has its
+                own; by default that of the run.
+            end: end of the chart; by default that of the run.
 
         Raises:
-            ConfigurationError: if altair is not installed.
+            ConfigurationError: if a time is invalid or outside the run, or if altair is not
+                installed.
 
         Example:
             >>> import greenroof_ros as gr
@@ -301,7 +339,7 @@ class Result:
             >>> len(chart.vconcat)
             4
         """
-        return Comparison({self.run.controller.name: self}).plot()
+        return Comparison({self.run.controller.name: self}).plot(start, end)
 
     def save(self, directory: str | Path) -> Path:
         """Write a run directory as ``greenroof simulate --trajectory`` does, and return its path.
@@ -340,10 +378,12 @@ def simulate(
         controller: ``"mpc"``, ``"onoff"``, ``"anticipating_onoff"``, ``"lookahead"`` or
             ``"package.module:Class"``; a class as described under "Your controller" in the
             documentation; or a function of (state, forecast) that returns the command, the share of
-            the pumps' maximum flow. ``state`` has the attributes time, cistern_level and roof_level
-            (m), cistern and roof (m3), and the site. ``forecast`` has the attributes rain (m/s),
+            the pumps' maximum flow from 0 to 1, or (command, outlet) with the opening of the valve
+            from 0 to 1. ``state`` has the attributes time, cistern_level and roof_level (m),
+            cistern and roof (m3), and the site. ``forecast`` has the attributes rain (m/s),
             evapotranspiration (m3/s) and the ends of its steps (s); for a function, the parameter
-            ``horizon`` (h, 24 by default) is the length of the forecast.
+            ``horizon`` (h, 24 by default) is the length of the forecast. In frost, a function is
+            not called, and the valve keeps its position.
         inputs: the inputs below and the controller's parameters, by name; None for the default.
 
             - ``site``: a site file, or a site from ``gr.read_site``; by default the paper's site.
@@ -396,10 +436,15 @@ def simulate(
     """
     every_s = inputs.pop("trajectory_every", None) or 0.0
     run = build_run(make_inputs(choose_controller(controller), inputs))
+    return simulate_run(run, run.count_ticks_between(every_s))
+
+
+def simulate_run(run: Run, every: int = 1) -> Result:
+    """Simulate a run, and keep every n-th tick of its trajectory."""
     instance = run.make_controller()
     if isinstance(instance, FunctionController):
         instance.start = run.start
-    made, ticks = loop.simulate(run, instance, run.count_ticks_between(every_s))
+    made, ticks = loop.simulate(run, instance, every)
     assert ticks is not None
     return Result(run, made, ticks)
 
@@ -433,7 +478,7 @@ class Comparison:
             {"controller": name, **result.metrics} for name, result in self.results.items()
         ])
 
-    def plot(self) -> altair.VConcatChart:
+    def plot(self, start: Time = None, end: Time = None) -> altair.VConcatChart:
         """Return a chart like that of :meth:`.Result.plot`, with a line for each controller.
 
         If the sites differ, the chart contains no lines for the target and the cistern levels.
@@ -450,7 +495,8 @@ class Comparison:
         with require_extra("study"):
             from greenroof_ros.analysis.report.trajectories import overlay_simulations
         return overlay_simulations({
-            name: (result.run.site, result.ticks) for name, result in self.results.items()
+            name: (result.run.site, result.ticks.between(start, end))
+            for name, result in self.results.items()
         })
 
 
@@ -505,7 +551,7 @@ def read_bag(path: str | Path, site: str | Path | Site | None = None) -> polars.
             site.
 
     Returns:
-        The columns of :attr:`Result.trajectory`.
+        The columns of :attr:`Result.trajectory`; a recording lacks the mains flow and ``wet``.
 
     Raises:
         ConfigurationError: if the bag is damaged or was not recorded by this package, or if a

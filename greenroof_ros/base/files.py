@@ -55,10 +55,13 @@ def default_site_file() -> Path:
     return shared_directory() / "config" / "site.yaml"
 
 
+_SHIPPED = "", "config", "config/weather", "config/forecasts"
+
+
 def find_shipped(file: Path) -> Path:
-    """Return the file or, if it does not exist (as outside a checkout), the package's own copy."""
-    shipped = shared_directory() / file
-    return shipped if shipped.is_file() and not file.exists() else file
+    """Return the file or, if it does not exist, the package's own file of this name or path."""
+    shipped = (shared_directory() / folder / file for folder in _SHIPPED)
+    return file if file.exists() else next(filter(Path.is_file, shipped), file)
 
 
 def state_directory() -> Path:

@@ -1,7 +1,8 @@
 """Check that a controller behaves as the node graph, simulate, studies and reports require.
 
 Its commands must be finite, not negative, and the same for the same inputs, and it must cope with
-skipped ticks, with missing forecasts and with its parameters.
+skipped ticks, with missing forecasts and with its parameters. Without --site, a class that commands
+the outlet valve is checked with config/site_valve.yaml.
 
 With --node, check a running node, in any language, for 'greenroof run --controller external'. The
 check takes the place of all other nodes, so do not start a run. At the end, it stops the node.
@@ -17,7 +18,10 @@ was not found, 3 a graph is running
 
 from __future__ import annotations
 
+from pathlib import Path
+
 from greenroof_ros.base.command_line import Parser, add_site, command, make_number_type
+from greenroof_ros.base.files import default_site_file, find_shipped
 from greenroof_ros.controllers.check import check_controller
 from greenroof_ros.controllers.registry import BUILT_IN, find_controller
 from greenroof_ros.nodes.check_results import NODE, print_results
@@ -48,7 +52,7 @@ def make_parser() -> Parser:
 def main() -> int:
     """Check the controller named on the command line."""
     arguments = make_parser().parse_args()
-    site = read_site(arguments.site)
+    site = read_site(find_shipped(arguments.site))
     if arguments.node is not None:
         prepare_ros()
         from greenroof_ros.nodes.check import check_node
@@ -57,6 +61,8 @@ def main() -> int:
             lambda: ControllerCheck(arguments.node, site, horizon=arguments.horizon)
         ))
     choice = find_controller(arguments.controller)
+    if arguments.site == default_site_file() and hasattr(choice.kind, "outlet"):
+        site = read_site(find_shipped(Path("site_valve.yaml")))
     return print_results(
         f"{choice.name}, {choice.path}", check_controller(choice, site).items()
     )

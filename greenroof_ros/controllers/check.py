@@ -50,7 +50,7 @@ class _Trial:
         """Return a forecast with rain from the second step on, in the shape that is expected."""
         rates = np.full((members, self.steps), rate)
         rates[:, 0] = 0.0
-        return rates if self.choice.ensemble else rates[0].tolist()
+        return rates if self.choice.ensemble else array("d", rates[0])
 
     def make(self, **changes: float) -> Controller:
         return self.choice.make(self.site, {**self.defaults, **changes})
@@ -58,7 +58,7 @@ class _Trial:
     def inputs(self, stride: int = 1) -> Iterator[tuple[float, float, Any, Any]]:
         """Yield every ``stride``-th combination of levels and forecasts."""
         for *levels, rain, evaporated in islice(trial_values(self.site), 0, None, stride):
-            yield *levels, self.forecast(rain), [evaporated] * self.steps
+            yield *levels, self.forecast(rain), array("d", [evaporated]) * self.steps
 
     def ticks(self, controller: Controller, stride: int = 1, skips: int = 0) -> Iterator[float]:
         """Yield the commands for :meth:`inputs`, and 0 for each tick that is skipped.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import inspect
 import math
 import sys
 import traceback
@@ -168,7 +169,8 @@ def find_place(kind: Any, *members: str) -> tuple[str | None, int | None]:
     If a class wraps a function as ``__wrapped__``, the location of this function is returned.
     """
     for name in members:
-        member = getattr(kind, "__wrapped__", getattr(kind, name, None))
+        member: Any = getattr(kind, "__wrapped__", getattr(kind, name, None))
+        member = inspect.unwrap(member)
         code = getattr(getattr(member, "fget", member), "__code__", None)
         if code is not None:
             return code.co_filename, code.co_firstlineno

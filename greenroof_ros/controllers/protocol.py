@@ -15,6 +15,11 @@ class Controller(Protocol):
     parameters. The same inputs must lead to the same commands, at any time and on any machine.
     ``greenroof check-controller package.module:Class`` checks a class against all of these rules.
 
+    A class may leave out ``skip``, which then does nothing, and ``statistics``, which then returns
+    None. If ``command`` has a parameter ``time``, it also receives the time as a datetime in the
+    site's time zone. If its forecasts are annotated as numpy arrays, it receives numpy arrays. A
+    class that commands the valve may return (command, outlet).
+
     Nine other attributes of the class are optional:
 
     - ``ensemble = True``: the controller takes all members of an ensemble of forecasts.
@@ -30,9 +35,10 @@ class Controller(Protocol):
     - ``learned``: a readable and settable property with a dictionary of the numbers that would take
       weeks to learn again. After a restart, the node of a live site restores the last value of this
       property.
-    - ``time_ns``: the current time (ns since 1970), set before every command at a site with quiet
-      hours. A class with this attribute is also called in quiet hours, when its command is replaced
-      by 0, and can plan with ``site.quiet``. Any other class skips the ticks in quiet hours.
+    - ``time_ns``: the current time (ns since 1970), set before every command. A class with this
+      attribute, or with a parameter ``time``, is also called in quiet hours, when its command is
+      replaced by 0, and can plan with ``site.quiet``. Any other class skips the ticks in quiet
+      hours.
     - ``forecast_ends``: an array that is set after construction. The array contains the boundaries
       of the forecasts' steps (s from the current tick), starting at 0, shape (steps + 1,). Entry
       i of a forecast is the mean from ``forecast_ends[i]`` to ``forecast_ends[i + 1]``.

@@ -18,6 +18,7 @@ from greenroof_ros.base.errors import ConfigurationError, describe_choices, sugg
 from greenroof_ros.base.parameter import Parameter
 from greenroof_ros.base.parameter_sections import read_sections
 from greenroof_ros.controllers import outlet
+from greenroof_ros.controllers.adapt import adapt
 from greenroof_ros.controllers.decide import OwnCode, find_frame
 from greenroof_ros.controllers.outlet import OutletPolicy, requested_share
 from greenroof_ros.controllers.protocol import Controller, set_optional
@@ -106,7 +107,7 @@ class ControllerChoice:
             ConfigurationError: if the class cannot be imported, or is not a controller.
         """
         kind = self._import_class() if self.given is None else self.given
-        needed = "parameters", "command", "skip", "statistics"
+        needed = "parameters", "command"
         lacking = [name for name in needed if not hasattr(kind, name)]
         of_valve = () if hasattr(kind, "outlet") else outlet.PARAMETERS
         of_node = _OF_EVERY_NODE.union(parameter.name for parameter in of_valve)
@@ -187,7 +188,7 @@ class ControllerChoice:
             site = replace(site, low_outlet_valve=False)
         own = {parameter.name: parameters[parameter.name] for parameter in self.kind.parameters}
         with OwnCode(self.kind):
-            controller: Controller = self.kind(site, **own)
+            controller: Controller = adapt(self.kind, site.zone)(site, **own)
             ends = look_ahead_ends(site, parameters.get("horizon", 0.0))
             set_optional(controller, forecast_ends=ends)
             return controller
@@ -220,7 +221,8 @@ class ControllerChoice:
             site, parameters.get("horizon", 0.0), outlet.find_horizon(parameters)
         )
         of_valve = {parameter.name: parameters[parameter.name] for parameter in self.of_valve}
-        return outlet.Policy(site, ends, without_rain, **of_valve).command
+        policy = outlet.Policy(site, ends, without_rain, **of_valve).command
+        return functools.partial(_prefer_opening, controller, policy)
 
     def count_own_steps(self, site: Site, parameters: Mapping[str, Any]) -> int | None:
         """Return the number of forecast steps that the controller itself takes; None for all.
@@ -359,6 +361,15 @@ def choose_class(kind: Any) -> ControllerChoice:
         if path == own:
             return ControllerChoice(name, name)
     return ControllerChoice(_node_name(kind.__name__), path, kind)
+
+
+def _prefer_opening(controller: Any, policy: OutletPolicy, *inputs: Any) -> float:
+    """Return the opening of the valve that a function returned with its command, or the policy's.
+
+    The policy is called in every tick, because it counts the time without rain.
+    """
+    share, opening = policy(*inputs), getattr(controller, "opening", None)
+    return share if opening is None else float(opening)
 
 
 def _node_name(class_name: str) -> str:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from greenroof_ros.base.errors import ConfigurationError, describe_choices, rename_keys
+from greenroof_ros.base.files import find_shipped
 from greenroof_ros.base.parameter import entry, make_record, parameters_of
 from greenroof_ros.forecast.issue import SERVICE_DELAY_H, SUFFIXES
 from greenroof_ros.forecast.skill import REAL, SKILLS
@@ -96,4 +97,4 @@ def choose(text: str, options: Mapping[str, Any] | None = None) -> ForecastChoic
             if model not in _MODELS_WITH[name]:
                 owners = " and ".join(_MODELS_WITH[name])
                 raise ConfigurationError(f"is an option of {owners}", key=name, value=value)
-    return replace(checked, model=model, file=Path(text) if model == FILE else None)
+    return replace(checked, model=model, file=find_shipped(Path(text)) if model == FILE else None)

@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 from array import array
 from collections.abc import Sequence
+from dataclasses import replace
 from datetime import datetime
 from typing import Any, NamedTuple, TypeAlias
 
@@ -23,6 +24,7 @@ from greenroof_ros.forecast.choice import PERFECT, ForecastChoice
 from greenroof_ros.forecast.models import ForecastModel, make_model
 from greenroof_ros.site.horizon import look_ahead_ends
 from greenroof_ros.site.site import Site
+from greenroof_ros.weather.quantities import EVAPOTRANSPIRATION, PRECIPITATION
 from greenroof_ros.weather.records import HOUR, Array
 from greenroof_ros.weather.series import Weather, WeatherSeries
 
@@ -251,6 +253,22 @@ class SteppedForecast:
         hour, since = one._locate(tick)
         means, _ = one._make(firsts[:, None], hour).find_means(since, measured)
         return np.hstack(np.split(means, 2))
+
+    def as_records(self, tick: int) -> Weather:
+        """Return records in which the forecast of a tick, with its first member, comes true.
+
+        After the forecast, there is no rain, and the evapotranspiration of its last day repeats.
+        """
+        hour, _ = self._locate(tick)
+        first, hours = self._first + hour, self._hours(hour)
+        rain, dried, _ = self._model.forecast(first, hours)
+        values, left = {**self._weather.values}, self._weather.hours - first
+        for name, expected, then in (
+            (PRECIPITATION, rain[0], np.zeros(1)), (EVAPOTRANSPIRATION, dried, dried[-24:])
+        ):
+            later = np.append(expected, np.resize(then, left))[:left]
+            values[name] = np.append(values[name][:first], later)
+        return replace(self._weather, values=values, minutes=None)
 
     def _locate(self, tick: int) -> tuple[int, float]:
         """Return the hour of the run in which a tick begins, and the time since its start (s)."""

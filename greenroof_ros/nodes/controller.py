@@ -158,8 +158,7 @@ class ControllerNode(GraphNode):
         Raises:
             ConfigurationError: if the controller's code fails, or cannot use the forecast.
         """
-        if self._site.quiet is not None:
-            set_optional(self.controller, time_ns=self.time_ns)
+        set_optional(self.controller, time_ns=self.time_ns)
         rain, evapotranspiration, forecast = self._rain, self._evapotranspiration, ((), ())
         if decides and rain.good and evapotranspiration.good:
             forecast = self._choice.own_forecast(

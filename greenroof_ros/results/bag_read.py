@@ -28,7 +28,7 @@ Values = NDArray[np.float64]
 
 # Attribute of a trajectory, by topic. A sample needs the topics below; the others count as 0 if
 # they are missing.
-_ATTRIBUTES = {column.topic: column.attribute for column in COLUMNS if column.attribute}
+_ATTRIBUTES = {column.topic: column.attribute for column in COLUMNS if column.topic}
 _NEEDED = ("/roof/level", "/cistern/level", "/pump/command", "/pump/flow")
 _TYPE = "std_msgs/msg/Float64"
 _CLOCK, _CLOCK_TYPE = "/clock", "rosgraph_msgs/msg/Clock"

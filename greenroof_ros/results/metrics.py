@@ -344,14 +344,19 @@ class Metrics:
         self, state: State, command: float, rain: float, potential: float, flows: Flows
     ) -> None:
         """Add the next tick; see :func:`.sums.add`."""
-        tau = self._site.tau
-        self._without_rain = time_without_rain(self._without_rain, rain, tau)
-        wet = is_wet(self._without_rain, tau, self._site.wet_after * HOUR_S)
+        wet = self.is_wet(rain)
+        self._without_rain = time_without_rain(self._without_rain, rain, self._site.tau)
         s.add(
             self._parameters, self._sums, self._events, state, command, rain, potential, flows,
             wet, self._tick in self._new_days,
         )
         self._tick += 1
+
+    def is_wet(self, rain: float) -> bool:
+        """Return whether the weather is wet in the next tick, with its rain (m/s)."""
+        tau = self._site.tau
+        without_rain = time_without_rain(self._without_rain, rain, tau)
+        return bool(is_wet(without_rain, tau, self._parameters.wet_after_s))
 
     def results(self, state: State) -> Results:
         """Return the results, as if the run ended in a state."""

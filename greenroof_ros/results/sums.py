@@ -69,6 +69,11 @@ def count_events(p: PlantParameters, ticks: int) -> int:
     return int(ticks / p.interval_ticks / (p.dry_intervals + 1)) + 2
 
 
+def is_stressed(p: PlantParameters, roof: float) -> bool:
+    """Return whether the plants lack water with a volume on the roof (m3)."""
+    return roof < p.stress_volume or roof <= 0
+
+
 def add(
     p: PlantParameters, sums: Any, events: Any, state: State, command: float, rain: float,
     potential: float, flows: Flows, wet: bool, new_day: bool,
@@ -97,7 +102,7 @@ def add(
     deviation = abs(roof - p.x2_star)
     sums[DEVIATION] += deviation
     sums[NEAR] += deviation <= NEAR_TARGET * p.x2_star
-    sums[STRESSED] += roof < p.stress_volume or roof <= 0
+    sums[STRESSED] += is_stressed(p, roof)
     sums[EVAPORATED] += tau * evaporated
     sums[POTENTIAL] += tau * potential
     if rain > 0:

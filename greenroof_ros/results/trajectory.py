@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import io
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 from zoneinfo import ZoneInfo
 
 import numpy as np
 from numpy.typing import NDArray
 
 from greenroof_ros.base.errors import ConfigurationError, require_extra
-from greenroof_ros.base.times import epoch_ns
+from greenroof_ros.base.times import epoch_ns, read_start
 from greenroof_ros.results.forked_polars import refuse_forked_polars
 from greenroof_ros.site.site import Site
 
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     import polars
 
 Samples = NDArray[np.float64]
+Time: TypeAlias = str | datetime | None
 
 TRAJECTORY, CSV = "trajectory.parquet", "trajectory.csv"
 """name of the file in a run's directory: for a study or Python, and for the command"""
@@ -36,7 +38,7 @@ class Column(NamedTuple):
     attribute: str = ""
     """attribute of a :class:`Trajectory`; empty if it is computed from the others and the site"""
     topic: str = ""
-    """topic in a bag; the volumes are computed from levels"""
+    """topic in a bag, in which the volumes are levels; empty if it is not recorded"""
     needs: str = ""
     """key of the sites that have it; empty if all have it"""
 
@@ -73,6 +75,8 @@ COLUMNS = (
         "other_demand_m3_per_s", "flows.other_demand", "other_demand", "/cistern/other_demand",
         "monthly_other_demand",
     ),
+    Column("mains_flow_m3_per_s", "flows.mains", "mains", needs="mains_level"),
+    Column("wet", "wet", "wet"),
 )
 
 
@@ -82,8 +86,8 @@ def columns_of(site: Site) -> list[Column]:
 
 
 def recorded_columns(site: Site) -> list[Column]:
-    """Return the columns that a :class:`Trajectory` of a site contains."""
-    return [column for column in columns_of(site) if column.attribute]
+    """Return the columns of a :class:`Trajectory` that a bag of a site contains."""
+    return [column for column in columns_of(site) if column.attribute and column.topic]
 
 
 # Name of every column of a trajectory's file, by its attribute.
@@ -91,7 +95,7 @@ _NAMES = {
     "time": "time_s", **{column.attribute: column.name for column in COLUMNS if column.attribute},
     "layer": LAYER.name,
 }
-_OPTIONAL = {column.name for column in COLUMNS if column.needs}
+_OPTIONAL = {column.name for column in COLUMNS if column.needs or not column.topic}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -117,6 +121,9 @@ class Trajectory:
         layer: water in the drainage layer (m3); None without one, or if it was not recorded.
         other: flow from the cistern to other uses than the roof (m3/s); None without any.
         other_demand: water that other uses need (m3/s); None without any.
+        mains: flow of mains water into the cistern (m3/s); None without a mains supply, or if it
+            was not recorded.
+        wet: 1 in wet weather, otherwise 0; None if it was not recorded.
     """
 
     start: datetime
@@ -135,6 +142,30 @@ class Trajectory:
     layer: Samples | None = None
     other: Samples | None = None
     other_demand: Samples | None = None
+    mains: Samples | None = None
+    wet: Samples | None = None
+
+    def between(self, start: Time, end: Time) -> Trajectory:
+        """Return the samples from one time to another; None stands for the first or last sample.
+
+        Raises:
+            ConfigurationError: if a time is invalid, or if there are fewer than two samples.
+        """
+        low, high = (
+            extreme if time is None
+            else (read_start(str(time), self.start.tzinfo) - self.start).total_seconds()
+            for time, extreme in ((start, 0.0), (end, math.inf))
+        )
+        kept = (low <= self.time) & (self.time <= high)
+        if kept.sum() < 2:
+            raise ConfigurationError("must include two samples of the run", key="start and end")
+        samples: dict[str, Any] = {
+            name: values[kept] for name, values in vars(self).items()
+            if isinstance(values, np.ndarray)
+        }
+        first = samples["time"][0]
+        samples["time"] -= first
+        return replace(self, start=self.start + timedelta(seconds=first), **samples)
 
     def to_frame(self) -> polars.DataFrame:
         """Return a table with the time in its zone, in microseconds, and all arrays.

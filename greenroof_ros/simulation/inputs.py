@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from greenroof_ros.base.errors import ConfigurationError, suggest_names
-from greenroof_ros.base.files import default_site_file
+from greenroof_ros.base.files import default_site_file, find_shipped
 from greenroof_ros.base.parameter import Parameter, entry, make_record, parameters_of
 from greenroof_ros.base.times import DEFAULT_START, read_start
 from greenroof_ros.controllers.outlet import find_horizon
@@ -222,7 +222,7 @@ def make_inputs(controller: ControllerChoice, given: Mapping[str, Any]) -> RunIn
                 "the roof (m3)", key="initial", value=initial,
             ) from error
     if "site" in values and not isinstance(values["site"], Site):
-        values["site"] = Path(str(values["site"]))
+        values["site"] = find_shipped(Path(str(values["site"])))
     if "weather" in values:
         values["weather"] = _find_weather(values["weather"])
     return replace(

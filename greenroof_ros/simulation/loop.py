@@ -18,9 +18,10 @@ from numpy.typing import NDArray
 from greenroof_ros.controllers.decide import decide, read_statistics
 from greenroof_ros.controllers.onoff import OnOff
 from greenroof_ros.controllers.protocol import Controller, set_optional
-from greenroof_ros.physics.parameters import Flows
+from greenroof_ros.physics.parameters import Flows, plant_parameters
 from greenroof_ros.physics.virtual_site import VirtualSite
 from greenroof_ros.results.metrics import Metrics
+from greenroof_ros.results.sums import is_stressed
 from greenroof_ros.results.trajectory import COLUMNS, Trajectory, columns_of
 from greenroof_ros.simulation import summary
 from greenroof_ros.simulation.run import Run
@@ -58,6 +59,10 @@ class Tick(NamedTuple):
     outlet: float
     """command to the valve of the low outlet (share), to which it is open unless the site limits
     its moves; 1 without a valve"""
+    wet: bool
+    """whether the weather is wet, when discharge to the sewer counts"""
+    stress: bool
+    """whether the plants lack water at the start of the tick"""
 
 
 class Simulation:
@@ -89,13 +94,12 @@ class Simulation:
         """Run all ticks, and yield each tick after its step."""
         run, site, controller, until = self._run, self.site, self._controller, 0
         policy, outlet, own_steps = self._outlet, 1.0, self._own_steps
-        forecast, irrigated = run.forecast, run.site.irrigated
+        forecast, irrigated, plant = run.forecast, run.site.irrigated, plant_parameters(run.site)
         for k in range(run.steps + 1):
             if k == until:
                 precipitation, evapotranspiration, frost, other, until = run.series.at(k)
                 site.frost = frost
-            if run.site.quiet is not None:
-                set_optional(controller, time_ns=site.time_ns)
+            set_optional(controller, time_ns=site.time_ns)
             cistern_level, roof_level = site.observe()
             rain, evaporated, *_ = forecast.at(k)
             own = rain, evaporated
@@ -114,6 +118,7 @@ class Simulation:
             tick = Tick(
                 k, *state, cistern_level, roof_level,
                 precipitation, evapotranspiration, frost, command, flows, site.outlet,
+                self.metrics.is_wet(precipitation), is_stressed(plant, state.roof),
             )
             if k < run.steps:
                 self.metrics.add(state, command, precipitation, evapotranspiration, flows)
@@ -149,10 +154,10 @@ def record(
         if tick.k % _REPORTED == 0:
             progress(tick.k / run.steps)
     kept = np.frombuffer(rows).reshape(-1, len(KEPT))
-    return _make_trajectory(run, kept, every) if every else None
+    return make_trajectory(run, kept, every) if every else None
 
 
-def _make_trajectory(run: Run, rows: NDArray[np.float64], every: int) -> Trajectory:
+def make_trajectory(run: Run, rows: NDArray[np.float64], every: int) -> Trajectory:
     """Make a trajectory from the values :data:`.KEPT` of every n-th tick, and of the last one."""
     own = {column.attribute or column.tick for column in columns_of(run.site)}
     ticks = np.minimum(every * np.arange(len(rows)), run.steps)
@@ -180,7 +185,7 @@ def simulate(
         case = Case(run.site, run.parameters | own, run, run.x1, run.x2)
         ((results, kept),), _ = simulate_season([case], every=every, progress=progress)
         made = summary.make_summary(run, *results, wall_s=time.monotonic() - began, solver=None)
-        return made, _make_trajectory(run, kept, every) if every else None
+        return made, make_trajectory(run, kept, every) if every else None
     simulation = Simulation(run, instance)
     trajectory = record(run, simulation.ticks(), every, progress)
     return simulation.summary(), trajectory

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.times import epoch_ns
+from greenroof_ros.controllers.adapt import note_arrays
 from greenroof_ros.controllers.outlet import OutletPolicy
 from greenroof_ros.controllers.protocol import Controller
 from greenroof_ros.controllers.registry import ControllerChoice
@@ -113,7 +114,8 @@ class Run:
 
     def notes(self) -> list[str]:
         """Return notes that a reader should see before the results."""
-        return [*self.weather.warnings(self.site), *note_pumps(self.site)]
+        kind = self.controller.kind
+        return [*self.weather.warnings(self.site), *note_pumps(self.site), *note_arrays(kind)]
 
     def weather_notes(self) -> list[str]:
         """Return sentences about weather and forecasts that were not used as they were found."""

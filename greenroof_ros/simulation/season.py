@@ -84,11 +84,10 @@ class Case(NamedTuple):
 
 KEPT = (
     "cistern", "roof", "precipitation", "evapotranspiration", "command", "pump_flow", "outflow",
-    "drainage", "frost", "layer", "outlet", "low_outlet", "other",
-    "other_demand",
+    "drainage", "frost", "layer", "outlet", "low_outlet", "other", "other_demand", "mains", "wet",
 )
 """values that are kept of a tick, under their names and in the order of :data:`.COLUMNS`"""
-ALL_KEPT = (*KEPT, "evaporated", "limited", "mains")
+ALL_KEPT = (*KEPT, "evaporated", "limited")
 """values that are kept of a tick where all flows are wanted"""
 _KEPT = len(KEPT)
 
@@ -233,12 +232,10 @@ def run_ticks(
                 values[:_KEPT] = (
                     now.cistern, now.roof, falls, demand, command, flows.pump, flows.outflow,
                     flows.drainage, 1.0 if frozen else 0.0, now.layer, outlet, flows.low_outlet,
-                    flows.other, flows.other_demand,
+                    flows.other, flows.other_demand, flows.mains, 1.0 if wet[n] else 0.0,
                 )
                 if len(values) > _KEPT:
-                    values[_KEPT:] = (
-                        flows.evapotranspiration, 1.0 if flows.limited else 0.0, flows.mains,
-                    )
+                    values[_KEPT:] = flows.evapotranspiration, 1.0 if flows.limited else 0.0
             if k == steps:
                 break
             if flows.outflow > 0 or flows.drainage > 0:

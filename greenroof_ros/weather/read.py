@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from greenroof_ros.base.errors import ConfigurationError
-from greenroof_ros.base.files import shared_directory
+from greenroof_ros.base.files import find_shipped, shared_directory
 from greenroof_ros.site.site import Place
 from greenroof_ros.weather import evapotranspiration, open_meteo, quantities
 from greenroof_ros.weather.climate import RECORDED, Climate, change_climate
@@ -283,7 +283,7 @@ def find_files(names: Iterable[str], key: str) -> list[Path]:
         if path.is_dir():
             matches = sorted(file for file in path.iterdir() if file.suffix in _SUFFIXES)
         elif path.exists() or not glob.has_magic(name):
-            matches = [path]
+            matches = [find_shipped(path)]
         else:
             matches = sorted(map(Path, glob.glob(name)))  # noqa: PTH207
         if not matches:

@@ -156,7 +156,7 @@ def test_a_printed_score_says_it_in_its_first_line_and_compares():
     assert first.startswith(f"storm-minutes: {found.value:.2f} m3, at best {found.bound:.2f}.")
     names = [row.split("h  ", 1)[1] for row in rows]
     assert sorted(names) == sorted([
-        "yours: dry", *gr.scenarios["storm-minutes"].controllers
+        "yours: dry, outlet=plan", *gr.scenarios["storm-minutes"].controllers
     ])
     scores = found.table["score"].to_list()
     assert scores == sorted(scores)

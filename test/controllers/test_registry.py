@@ -122,7 +122,7 @@ def test_a_node_is_named_after_the_class() -> None:
     ("code", "message"),
     [
         ("1 / 0", "cannot be imported: ZeroDivisionError: division by zero"),
-        ("class Mine: pass", "is not a controller: it lacks parameters, command, skip, statistics"),
+        ("class Mine: pass", "is not a controller: it lacks parameters, command"),
         (
             "class Mine:\n parameters = (1,)\n def command(self): pass\n def skip(self): pass\n"
             " def statistics(self): pass", "is not a controller: it lacks a tuple of Parameter",

@@ -23,7 +23,7 @@ _MAX_HOURS = 96.0
 _WIDTH, _HEIGHT, _RAIN_HEIGHT = 640, 130, 70
 # Room for the numbers of an axis, so that the axes of a column are in line.
 _EXTENT = 44
-_RAIN, _SEWER = "rain (mm/h)", "to the sewer (L/s)"
+_RAIN, _SEWER, _OPENING = "rain (mm/h)", "to the sewer (L/s)", "valve opening (1)"
 
 # The curve of each panel, by its title.
 _CURVES: dict[str, Callable[[Site, Trajectory], NDArray[np.float64]]] = {
@@ -34,6 +34,7 @@ _CURVES: dict[str, Callable[[Site, Trajectory], NDArray[np.float64]]] = {
     _SEWER: lambda site, run: 1000 * (
         run.outflow + (1 - site.drainage_to_cistern) * run.drainage
     ),
+    _OPENING: lambda site, run: np.zeros_like(run.time) if run.outlet is None else run.outlet,
 }
 # The reference levels of a panel; None for what a site does not have.
 _LEVELS: dict[str, Callable[[Site], dict[str, float | None]]] = {
@@ -58,7 +59,7 @@ def select_samples(values: NDArray[np.float64]) -> NDArray[np.intp]:
 
 
 def draw_over_time(runs: Mapping[str, tuple[Site, Trajectory]]) -> list[figures.Panel]:
-    """Return a panel for rain, roof, cistern and pump, and for the sewer if water flows there.
+    """Return a panel for rain, roof, cistern and pump, and for sewer and valve if they are used.
 
     Args:
         runs: sites and trajectories of at least two samples, by the names of their lines. The rain
@@ -90,7 +91,7 @@ def draw_over_time(runs: Mapping[str, tuple[Site, Trajectory]]) -> list[figures.
                 {"case": name, "t": 1000 * (start.timestamp() + float(run.time[index])),
                  "v": figures.round_value(float(values[index]))} for index in select_samples(values)
             ]
-        if title == _SEWER and not any(row["v"] for row in rows):
+        if title in (_SEWER, _OPENING) and not any(row["v"] for row in rows):
             continue
         y = alt.Y("v:Q", title=title, scale=alt.Scale(
             # Rain hangs from the top, as is usual in hydrology.

@@ -35,7 +35,8 @@ def test_runs_of_any_values(tmp_path: Path, values: list[float]) -> None:
     Figure("time", "", "", tuple(draw_over_time(runs)), 2).save(tmp_path)
     assert (tmp_path / "time.svg").read_text().startswith("<svg")
     flows = any(value > 0 for value in values[:-1])  # the last one never held
-    assert len(overlay_simulations(runs).vconcat) == 4 + flows  # what reaches the sewer
+    # What reaches the sewer, and the opening of the valve.
+    assert len(overlay_simulations(runs).vconcat) == 4 + 2 * flows
 
 
 def test_thinning_keeps_extremes() -> None:
