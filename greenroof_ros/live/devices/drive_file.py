@@ -34,8 +34,8 @@ class DeviceFile:
     make: str = entry("name of the manufacturer")
     model: str = entry("model, with its firmware, or the option or adapter that provides Modbus")
     unverified: tuple[str, ...] = entry(
-        "keys of this file that were not verified, and could let a pump run when it must be off")
-    set_up: tuple[str, ...] = entry("other settings that must be made manually on the device")
+        "keys that were not verified, and could let a pump run when it must be off")
+    set_up: tuple[str, ...] = entry("other settings that a person must make on the device")
     path: Path = Path()
 
     def __str__(self) -> str:
@@ -54,7 +54,7 @@ class Register:
         "word order of a value of more than one register", choices=WORD_ORDERS, default="")
     scale: float = entry("factor: value = scale x raw", 1e-9, 1e9, default=1.0)
     full_scale: str = entry(
-        "name of a register, such as a rated speed, that divides the scaled value", default="")
+        "name of a register that divides the scaled value", default="")
     low: float = entry("minimum plausible value", default=-math.inf)
     high: float = entry("maximum plausible value", default=math.inf)
     missing: int | None = entry("raw value of a flow that is not available", default=None)
@@ -120,7 +120,7 @@ class Codes:
     register: str = entry("name of the register")
     kind: str = entry("encoding: a single code, or one bit per fault", choices=("code", "bits"))
     texts: dict[int, str] = entry(
-        "texts of the codes, or of the bits (bit 0 is the least significant)", 0, 0xFFFFFFFF)
+        "texts of the codes, or of the bits", 0, 0xFFFFFFFF)
 
     def reported(self, raw: int) -> set[int]:
         """Return the codes or bits that a raw value reports; 0 reports none."""
@@ -151,18 +151,18 @@ class Timeout:
     """The communication timeout of one of the drive's interfaces."""
 
     register: str = entry("name of the register that holds the timeout period (s); 0 means off")
-    how_to_set: str = entry("instructions for setting the timeout manually, and what to beware of")
+    how_to_set: str = entry("how a person sets the timeout, and what to beware of")
     action: Action | None = entry("setting that selects what the expiry leads to", default=None)
     mode: Action | None = entry(
         "setting that selects which messages restart the timeout", default=None)
     trips: tuple[int, ...] = entry(
         "codes (or bits) of `faults` that report the expiry of the timeout", 0, default=())
     unguarded_after_power_up_s: float = entry(
-        "time after power-up during which the timeout is not effective; the pump is kept off for "
-        "this time after every connection", 0, 600, unit="s", default=0.0)
+        "time after power-up in which the timeout is not effective, and the pump is kept off",
+        0, 600, unit="s", default=0.0)
     local_settings_decide: bool = entry(
-        "whether the reaction depends on drive settings that cannot be read, so that the operator "
-        "must confirm it (`local_settings_stop_the_pump`)", default=False)
+        "whether the reaction depends on settings that cannot be read, but only be confirmed "
+        "(`local_settings_stop_the_pump`)", default=False)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -172,8 +172,8 @@ class DriveFile(DeviceFile):
     numbering: int = entry("number of a register in the manual minus its address", 0, 465536)
     serial: Serial = entry("factory settings of Modbus RTU, and the device id for any interface")
     registers: dict[str, Register] = entry(
-        "registers by name; `control`, `reference`, `status` and `speed` (shares of the rated "
-        "speed) are required, and `flow` (m3/s) is used")
+        "registers by name: `control`, `reference`, `status`, `speed` (share of the rated speed), "
+        "perhaps `flow` (m3/s), and others")
     sequences: Sequences = entry("register writes that start, stop and reset the drive")
     status: StatusWord = entry("conditions that show the drive's state")
     faults: Codes = entry("register and texts of the faults")
@@ -219,7 +219,7 @@ class Timer(Question):
 
     scale: float = entry("factor: seconds = scale x value", 1e-6, 1e6, default=1.0)
     high: float = entry("maximum value to which the scale applies", 0, 1e6)
-    how_to_set: str = entry("instructions for setting the timer manually, and what to beware of")
+    how_to_set: str = entry("how a person sets the timer, and what to beware of")
 
     # Drives on Modbus may have these, but no relay does.
     unguarded_after_power_up_s = 0.0
@@ -230,12 +230,12 @@ class Timer(Question):
 class RelayFile(DeviceFile):
     """The description of a make of relay."""
 
-    protocol: str = entry("always mqtt; only relay files have this key", choices=("mqtt",))
+    protocol: str = entry("marks the file of a relay", choices=("mqtt",))
     state: RelayState = entry("whether the relay is on")
     timer: Timer = entry("the time after which the relay switches itself off")
-    must: tuple[Setting, ...] = entry("settings that must have certain values")
-    switch_on: RelayMessage = entry("message that switches the relay on, repeated to keep it on")
-    switch_off: RelayMessage = entry("message that switches the relay off, repeated to keep it off")
+    must: tuple[Setting, ...] = entry("settings with required values")
+    switch_on: RelayMessage = entry("message that switches the relay on, repeated")
+    switch_off: RelayMessage = entry("message that switches the relay off, repeated")
 
     # A relay is on or off, with no speed in between.
     min_speed = 1.0

@@ -51,18 +51,18 @@ class Sensor:
         "factor: value = scale x raw + offset, in the unit of the quantity", -1e3, 1e3
     )
     low: float = entry(
-        "minimum accepted value, in the unit of the quantity; a minimum below 0 allows for noise "
-        "around zero: negative values are then treated as 0, except for temperatures", -100, 100,
+        "minimum accepted value; below 0 it allows for noise, and negative values then count as 0, "
+        "except for temperatures", -100, 100,
     )
-    high: float = entry("maximum accepted value, in the unit of the quantity", -100, 100)
+    high: float = entry("maximum accepted value", -100, 100)
     offset: float = entry(
-        "value at a raw reading of 0, in the unit of the quantity", -1e3, 1e3, default=0.0)
+        "value at a raw reading of 0", -1e3, 1e3, default=0.0)
     median: int = entry(
         "number of readings in the median filter; 1 for no filter", 1, 99, default=5
     )
     counts: bool = entry(
-        "if true, scale x raw is a running total (m or m3), and the value is its increase per "
-        "second, without a filter", default=False,
+        "if true, scale x raw is a running total (m or m3), and the value its increase per second",
+        default=False,
     )
 
 
@@ -82,7 +82,7 @@ class ModbusSensor(Sensor):
     )
     type: str = entry("encoding of the value", choices=tuple(WIDTHS))
     word_order: str = entry(
-        "word order of a value that occupies more than one register",
+        "word order of a value of more than one register",
         choices=WORD_ORDERS, default="",
     )
     missing: int | None = entry("raw value that means 'no reading'", default=None)
@@ -118,20 +118,19 @@ class MqttSensor(Sensor):
 
     address: str = entry("broker and topic: mqtt://HOST[:PORT]/TOPIC, or mqtts:// for TLS")
     value: str = entry(
-        "path of the number in a JSON message, such as ANALOG.Range1 or sensors[0].distance; "
-        "omit it if the message itself is the number", default="",
+        "path of the number in a JSON message, such as ANALOG.Range1 or sensors[0].distance",
+        default="",
     )
     max_age: float = entry(
         "maximum silence of the sensor (s); at most the maximum age of the quantity",
         0.1, 3600,
     )
     login: str = entry(
-        "path of a file with the username and password; the file must not be readable "
-        "by other users (chmod 600)",
+        "file with username and password, which others must not be able to read (chmod 600)",
         default="",
     )
     authority: str = entry(
-        "path of a file of trusted certificates (PEM); by default, the system's certificates",
+        "file of trusted certificates (PEM) in place of the system's",
         default="",
     )
 
