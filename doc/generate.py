@@ -42,8 +42,6 @@ from greenroof_ros.analysis.district.file import (
 from greenroof_ros.api.scenarios import read_references, scenarios
 from greenroof_ros.base.files import (
     default_site_file,
-    parse_yaml,
-    read_text,
     read_yaml,
     shared_directory,
 )
@@ -51,7 +49,6 @@ from greenroof_ros.base.parameter import Parameter, parameters_of
 from greenroof_ros.base.ranges import Range
 from greenroof_ros.controllers.outlet import PARAMETERS
 from greenroof_ros.controllers.registry import BUILT_IN, find_controller
-from greenroof_ros.interface.alarm import Alarm
 from greenroof_ros.interface.conditions import (
     LATCHED,
     Interlock,
@@ -64,7 +61,7 @@ from greenroof_ros.live.devices import drive_file, sensor_file
 from greenroof_ros.live.pumping.limits import pump_parameters
 from greenroof_ros.physics.storm_water import Event
 from greenroof_ros.results.metrics import METRICS, Metric
-from greenroof_ros.site.file import DETERMINES, SITE_KEYS, SUBSTRATES, read_site
+from greenroof_ros.site.file import DETERMINES, SITE_KEYS, read_site
 from greenroof_ros.site.site import Site
 from greenroof_ros.weather.description import Description
 from greenroof_ros.weather.quantities import QUANTITIES, known_units
@@ -245,13 +242,14 @@ def events() -> str:
 
 
 def site() -> str:
-    """Return the parameters of a site, with the values of the paper's site."""
-    paper = read_site(shared_directory() / "config" / "site.yaml")
+    """Return the optional parameters of a site that the paper's site file does not explain."""
+    path = shared_directory() / "config" / "site.yaml"
+    paper, explained = read_site(path), read_yaml(path)
     return entries(
         (
             f"`{entry.name}`", quantity(getattr(paper, entry.name), entry.unit), entry.meaning,
         )
-        for entry in parameters_of(Site)
+        for entry in parameters_of(Site) if entry.name not in explained
     )
 
 
@@ -266,18 +264,6 @@ def plain_keys() -> str:
         (f"`{name}`", kind(entry), joined(entry.meaning, "" if name == "substrate" else
                                           f"sets {' and '.join(names)}"))
         for name, names in DETERMINES.items() for entry in [SITE_KEYS[name]]
-    )
-
-
-def substrates() -> str:
-    """Return the named substrates, with their values."""
-    return markdown(
-        ("`substrate`", "field capacity", "wilting point", "layer (mm)"),
-        (
-            (f"`{name}`", f"{each['field_capacity']:g}", f"{each['wilting_point']:g}",
-             f"{1000 * each['drainage_storage']:g}")
-            for name, each in SUBSTRATES.items()
-        ),
     )
 
 
@@ -298,23 +284,9 @@ _DRIVE_PARTS = {
 }
 
 
-_RELAY_PARTS = {
-    "the file, besides the keys of a drive's file": drive_file.RelayFile,
-    "`switch_on`, `switch_off`": drive_file.RelayMessage,
-    "`state`": drive_file.RelayState,
-    "`timer`": drive_file.Timer,
-    "`must`, each": drive_file.Setting,
-}
-
-
 def drive_files() -> str:
     """Return every key of a drive's file."""
     return _keys(_DRIVE_PARTS)
-
-
-def relay_files() -> str:
-    """Return every key of a relay's file."""
-    return _keys(_RELAY_PARTS, drive_file.DriveFile)
 
 
 def sensors_file() -> str:
@@ -334,7 +306,7 @@ def district_file() -> str:
     })
 
 
-def _keys(parts: Mapping[str, Any], *earlier: type) -> str:
+def _keys(parts: Mapping[str, Any]) -> str:
     """Return the keys of the parts of a file, without those inherited as in an earlier part."""
 
     def values(key: Parameter) -> str:
@@ -343,13 +315,13 @@ def _keys(parts: Mapping[str, Any], *earlier: type) -> str:
         default = f"default {number(key.default)}" if stated else "optional"
         return joined(_limits_with_unit(key), default if key.optional else "")
 
-    texts = []
+    texts, earlier = [], list[type]()
     for title, kind in parts.items():
         inherited = {
             each.name for base in kind.__mro__ if is_dataclass(base)
             and any(issubclass(other, base) for other in earlier) for each in fields(base)
         }
-        earlier = (*earlier, kind)
+        earlier.append(kind)
         texts.append(f"### {title[0].upper()}{title[1:]}\n\n" + entries(
             (f"`{key.name}`", values(key), key.meaning)
             for key in parameters_of(kind) if key.name not in inherited
@@ -426,18 +398,6 @@ def description() -> str:
     )
 
 
-def plausible() -> str:
-    """Return the limits of climates."""
-    path = shared_directory() / "config" / "plausible.yaml"
-
-    def limits_of(row: Mapping[str, Any]) -> str:
-        within = Range(row.get("low", -math.inf), row.get("high", math.inf))
-        return f"{within.limits} {row['unit']}"
-
-    rows = parse_yaml(read_text(path), path)
-    return markdown(("statistic", "limits"), ((row["statistic"], limits_of(row)) for row in rows))
-
-
 def _attributes(kind: type) -> list[tuple[str, str]]:
     """Return the attributes in a class's docstring, with their meanings."""
     described = inspect.cleandoc(kind.__doc__ or "").partition("Attributes:\n")[2]
@@ -451,11 +411,6 @@ def _json_words(text: str) -> str:
     for before, after in (("``", "`"), (r"\bNone\b", "`null`"), (r"; from :mod:`[^`]*`", "")):
         text = re.sub(before, after, text)
     return text.rstrip(".")
-
-
-def alarm() -> str:
-    """Return the keys of an alarm."""
-    return entries((f"`{name}`", "", text) for name, text in _attributes(Alarm))
 
 
 # --- commands -------------------------------------------------------------------------------------
@@ -489,6 +444,7 @@ def nodes() -> str | None:
     from greenroof_ros.live import external_pump, pump, sensors, valve
     from greenroof_ros.live import recorder as live_recorder
     from greenroof_ros.live import weather as live_weather
+    from greenroof_ros.live.levels import LIMITS
     from greenroof_ros.nodes import alarms, controller, plant, recorder, weather
     site = read_site(default_site_file())
     declared = {
@@ -501,27 +457,27 @@ def nodes() -> str | None:
         "valve": valve.parameters(read_site(default_site_file().with_name("site_valve.yaml"))),
         "alarms": alarms.parameters(site),
     }
-    settings = {f"`{parameter.name}`" for parameter in pump_parameters(site)}
-    of_nodes: dict[tuple[str, str, str], list[str]] = {}
-    for node, parameters in declared.items():
-        for parameter in parameters:
-            row = (*_declared(parameter), parameter.meaning)
-            of_nodes.setdefault(row, []).append(node)
-    own = {
-        row: nodes for row, nodes in of_nodes.items()
-        if "pump" not in nodes or row[0] not in settings
+    settings = {parameter.name for parameter in pump_parameters(site)}
+    options = {
+        action.dest for command in ("run", "live") for action in parser_of(command)._actions
     }
-    shared = [
+    of_nodes: dict[tuple[str, str, str], list[str]] = {}
+    same, ages = set(), set()
+    for node, parameters in declared.items():
+        for each in parameters:
+            if each.name in options:
+                same.add(f"`{each.name}`")
+            elif each in LIMITS.values():
+                ages.add(f"`{each.name}` ({each.default:g} s)")
+            elif node == "valve" or each.name not in settings:
+                of_nodes.setdefault((*_declared(each), each.meaning), []).append(node)
+    return entries(
         (name, joined(values, ", ".join(nodes)), meaning)
-        for (name, values, meaning), nodes in own.items() if len(nodes) > 1
-    ]
-    return "\n".join([
-        "### several nodes\n\n" + entries(shared),
-        *(
-            f"### {node}\n\n{entries(rows)}" for node in declared
-            if (rows := [row for row, nodes in own.items() if nodes == [node]])
-        ),
-    ])
+        for (name, values, meaning), nodes in of_nodes.items()
+    ) + (
+        f"\nMaximum ages of live inputs: {', '.join(sorted(ages))}.\n"
+        f"\nLike the options of `greenroof run` and `live`: {', '.join(sorted(same))}.\n"
+    )
 
 
 def scenario_scores() -> str:
@@ -548,20 +504,16 @@ TABLES: dict[str, Callable[[], str | None]] = {
     "events": events,
     "site": site,
     "plain site keys": plain_keys,
-    "substrates": substrates,
     "pump settings": pump_settings,
     "interlocks": interlocks,
     "quantities": quantities,
     "description": description,
-    "plausible": plausible,
-    "alarm": alarm,
     "commands": commands,
     "nodes": nodes,
     "drive file": drive_files,
     "drives": drives,
     "sensors file": sensors_file,
     "district file": district_file,
-    "relay file": relay_files,
     "scenarios": scenario_scores,
 }
 
