@@ -32,7 +32,7 @@ from layouts import LAYOUTS
 from pictures import draw as draw_pictures
 from who_publishes import WAYS, drawing
 
-from greenroof_ros.__main__ import COMMANDS, GROUPS
+from greenroof_ros.__main__ import COMMANDS
 from greenroof_ros.analysis.district.file import (
     District,
     DistrictWeather,
@@ -117,13 +117,11 @@ def joined(*texts: str) -> str:
     return "; ".join(filter(None, texts))
 
 
-def limits(parameter: Parameter) -> str:
-    """Return the allowed values, without limits that only exclude nonsense."""
-    if parameter.among:
-        return " or ".join(f"`{each}`" for each in parameter.among if each)
-    low = parameter.low if parameter.low > -_BEYOND else -math.inf
-    high = parameter.high if parameter.high < _BEYOND else math.inf
-    return Range(low, high).limits
+def limits(valid: Range) -> str:
+    """Return the allowed values; a limit that only excludes nonsense is left out."""
+    if valid.words:
+        return " or ".join(f"`{each}`" for each in valid.words if each)
+    return valid.limits if valid.low > -_BEYOND and valid.high < _BEYOND else ""
 
 
 def number(value: object) -> str:
@@ -170,7 +168,7 @@ def _type(topic: Topic) -> str:
 
 
 def _values(topic: Topic) -> str:
-    return " ".join(filter(None, (topic.range.limits, topic.unit.removesuffix("1"))))
+    return " ".join(filter(None, (limits(topic.range), topic.unit.removesuffix("1"))))
 
 
 def _publishers(topic: Topic) -> str:
@@ -218,7 +216,7 @@ def _declared(parameter: Parameter) -> tuple[str, str]:
     default = parameter.default
     unknown = isinstance(default, float) and math.isnan(default)  # it depends on the site
     shown = parameter.unit if unknown else quantity(default, parameter.unit)
-    return f"`{parameter.name}`", joined(shown, limits(parameter))
+    return f"`{parameter.name}`", joined(shown, limits(parameter.range))
 
 
 def metrics() -> str:
@@ -261,9 +259,8 @@ def plain_keys() -> str:
         return " ".join(filter(None, (usual, entry.unit)))
 
     return entries(
-        (f"`{name}`", kind(entry), joined(entry.meaning, "" if name == "substrate" else
-                                          f"sets {' and '.join(names)}"))
-        for name, names in DETERMINES.items() for entry in [SITE_KEYS[name]]
+        (f"`{name}`", kind(entry), entry.meaning)
+        for name in DETERMINES for entry in [SITE_KEYS[name]]
     )
 
 
@@ -272,7 +269,6 @@ def plain_keys() -> str:
 # Names of the parts of a drive's file.
 _DRIVE_PARTS = {
     "the file": drive_file.DriveFile,
-    "`serial`": drive_file.Serial,
     "`registers`, each": drive_file.Register,
     "`sequences`": drive_file.Sequences,
     "a step of `sequences`": drive_file.Step,
@@ -285,14 +281,13 @@ _DRIVE_PARTS = {
 
 
 def drive_files() -> str:
-    """Return every key of a drive's file."""
+    """Return the keys of a drive's file."""
     return _keys(_DRIVE_PARTS)
 
 
 def sensors_file() -> str:
-    """Return every key of a file of sensors."""
+    """Return the keys of each sensor in a file of sensors."""
     return _keys({
-        "the file": sensor_file.Sensors,
         "a sensor on Modbus": sensor_file.ModbusSensor,
         "a sensor on MQTT": sensor_file.MqttSensor,
     })
@@ -330,7 +325,7 @@ def _keys(parts: Mapping[str, Any]) -> str:
 
 
 def _limits_with_unit(key: Parameter) -> str:
-    return " ".join(filter(None, (limits(key), "" if key.unit == "1" else key.unit)))
+    return " ".join(filter(None, (limits(key.range), "" if key.unit == "1" else key.unit)))
 
 
 def drives() -> str:
@@ -346,21 +341,9 @@ def pump_settings() -> str:
     return entries((*_declared(entry), entry.meaning) for entry in pump_parameters(site))
 
 
-def interlocks() -> str | None:
-    """Return the conditions that keep the pump off or the valve closed; None without ROS 2."""
-    if importlib.util.find_spec("rclpy") is None:
-        return None
-    from greenroof_ros.live import pump, valve, weather
-
-    meanings, site = read_conditions(), read_site(default_site_file())
-    with_valve = read_site(default_site_file().with_name("site_valve.yaml"))
-    settings = {entry.name: entry for entry in (
-        *valve.parameters(with_valve), *weather.parameters(site), *pump.parameters(site),
-    )}
-
-    def limit(name: str) -> str:
-        value = quantity(settings[name].default, settings[name].unit)
-        return f"`{name}`" if value == "empty" else f"`{name}` {value}"
+def interlocks() -> str:
+    """Return the conditions that keep the pump off or the valve closed."""
+    meanings = read_conditions()
 
     def row(code: str, entry: Interlock) -> tuple[str, str, str]:
         also = "also valve" * (VALVE in meanings[code].by_role)
@@ -369,8 +352,8 @@ def interlocks() -> str | None:
             by = entry.by or ("~/reset" if entry.kind == LATCHED else "itself")
             text += f"; cleared by {by}{' or the page' * entry.on_page}"
         text = re.sub(r"(?<!`)(~/\w+|/pump/\w+)", r"`\1`", text)
-        of = "valve only" if entry.valve else also
-        return f"`{code}`", joined(of, ", ".join(map(limit, entry.limit))), text
+        names = ", ".join(f"`{name}`" for name in entry.limit)
+        return f"`{code}`", joined("valve only" if entry.valve else also, names), text
 
     kinds = itertools.groupby(read_interlocks().items(), lambda item: item[1].kind)
     return "\n".join(
@@ -424,13 +407,9 @@ def parser_of(name: str, arguments: Sequence[str] = ()) -> argparse.ArgumentPars
 
 
 def commands() -> str:
-    """Return what each command of ``greenroof`` does, grouped by the user's purpose."""
-    return markdown(("command", "what it does"), (
-        row for title, group in GROUPS.items() for row in (
-            (f"**{title[0].upper()}{title[1:]}**", ""),
-            *((f"`{name}`", entry.about) for name, entry in group.items()),
-        )
-    ))
+    """Return what each command of ``greenroof`` does."""
+    rows = ((f"`{name}`", entry.about) for name, entry in COMMANDS.items())
+    return markdown(("command", "what it does"), rows)
 
 
 # --- nodes ----------------------------------------------------------------------------------------

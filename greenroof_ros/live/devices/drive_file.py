@@ -32,7 +32,7 @@ class DeviceFile:
     """What every file describes."""
 
     make: str = entry("name of the manufacturer")
-    model: str = entry("model, with its firmware, or the option or adapter that provides Modbus")
+    model: str = entry("model, with firmware or the adapter for Modbus")
     unverified: tuple[str, ...] = entry(
         "keys that were not verified, and could let a pump run when it must be off")
     set_up: tuple[str, ...] = entry("other settings that a person must make on the device")
@@ -46,8 +46,8 @@ class DeviceFile:
 class Register:
     """A holding register, or two or four registers that form one value: scale x raw."""
 
-    address: int = entry("address of the register on the wire, counted from 0", 0, 65535)
-    manual: int = entry("number of the register in the manual: address + numbering", 0)
+    address: int = entry("address on the wire, counted from 0", 0, 65535)
+    manual: int = entry("number in the manual: address + numbering", 0)
     type: str = entry("encoding of the value", choices=("uint16", "int16", "uint32", "int32"))
     meaning: str = entry("meaning of the value, for messages")
     word_order: str = entry(
@@ -69,8 +69,8 @@ class Register:
 class RegisterCondition:
     """A condition that is true if register & mask == value."""
 
-    mask: int = entry("mask of the bits that are compared", 1, 0xFFFFFFFF)
-    value: int = entry("value that the bits in the mask must have", 0, 0xFFFFFFFF)
+    mask: int = entry("mask of the compared bits", 1, 0xFFFFFFFF)
+    value: int = entry("value that these bits must have", 0, 0xFFFFFFFF)
     register: str = entry("name of the register", default="status")
 
     def fulfilled_by(self, raw: int) -> bool:
@@ -85,8 +85,8 @@ class Step:
     write: str = entry("name of the register to write")
     value: int = entry("word to write", 0, 0xFFFF)
     until: RegisterCondition | None = entry(
-        "condition that must be true before the next step", default=None)
-    within_s: float = entry("maximum time to wait for the condition (s)", 0.05, 60, default=1.0)
+        "condition for the next step", default=None)
+    within_s: float = entry("maximum time to wait for it (s)", 0.05, 60, default=1.0)
 
 
 @dataclass(frozen=True)
@@ -94,11 +94,11 @@ class Sequences:
     """The sequences of register writes that bring the drive from one state to another."""
 
     ready: tuple[Step, ...] = entry(
-        "steps before every start, from any state but a fault, to one in which `run` works")
+        "steps before every start, from any state but a fault")
     run: tuple[Step, ...] = entry(
-        "steps that start the pump, after the speed was written to `reference`; repeated")
+        "steps that start the pump, after the speed was written; repeated")
     stop: tuple[Step, ...] = entry(
-        "steps that ramp the pump down and switch it off, before a speed of 0 is written; repeated")
+        "steps that ramp the pump down and switch it off; repeated")
     reset: tuple[Step, ...] = entry("steps that acknowledge a fault and leave the drive off")
 
 
@@ -143,20 +143,20 @@ class Action:
 
     register: str = entry("name of the register")
     stops: dict[int, str] = entry(
-        "the values, with names, for a stop that lasts until a reset; any other means off", 0)
+        "values, with names, for a stop that lasts until a reset; any other means off", 0)
 
 
 @dataclass(frozen=True)
 class Timeout:
     """The communication timeout of one of the drive's interfaces."""
 
-    register: str = entry("name of the register that holds the timeout period (s); 0 means off")
+    register: str = entry("name of the register of the timeout (s; 0 is off)")
     how_to_set: str = entry("how a person sets the timeout, and what to beware of")
-    action: Action | None = entry("setting that selects what the expiry leads to", default=None)
+    action: Action | None = entry("setting of what the expiry leads to", default=None)
     mode: Action | None = entry(
-        "setting that selects which messages restart the timeout", default=None)
+        "setting of which messages restart it", default=None)
     trips: tuple[int, ...] = entry(
-        "codes (or bits) of `faults` that report the expiry of the timeout", 0, default=())
+        "codes or bits of `faults` that report its expiry", 0, default=())
     unguarded_after_power_up_s: float = entry(
         "time after power-up in which the timeout is not effective, and the pump is kept off",
         0, 600, unit="s", default=0.0)
@@ -178,7 +178,7 @@ class DriveFile(DeviceFile):
     status: StatusWord = entry("conditions that show the drive's state")
     faults: Codes = entry("register and texts of the faults")
     timeout: dict[str, Timeout] = entry(
-        "the drive's own communication timeouts of its port `serial` and its Ethernet port `tcp`")
+        "communication timeouts of the port `serial` and the Ethernet port `tcp`")
     min_speed: float = entry("minimum share of the rated speed at which the pump may run", 0, 1)
 
 

@@ -75,7 +75,7 @@ class ModbusSensor(Sensor):
     )
     device_id: int = entry("unit identifier or slave address of the sensor", 0, 255)
     register: int = entry(
-        "address of the register on the wire, counted from 0", 0, 65535
+        "address on the wire, counted from 0", 0, 65535
     )
     kind: str = entry(
         "register type: input (function 4) or holding (function 3)", choices=("input", "holding")
@@ -91,7 +91,7 @@ class ModbusSensor(Sensor):
         3600, default=1.0,
     )
     baud_rate: int = entry(
-        "baud rate of the serial line (bits per second)", 1200, 1_000_000, default=19200
+        "baud rate of the serial line", 1200, 1_000_000, default=19200
     )
     parity: str = entry(
         "parity of the serial line", choices=("even", "odd", "none"), default="even"
@@ -122,7 +122,7 @@ class MqttSensor(Sensor):
         default="",
     )
     max_age: float = entry(
-        "maximum silence of the sensor (s); at most the maximum age of the quantity",
+        "maximum silence of the sensor (s)",
         0.1, 3600,
     )
     login: str = entry(
@@ -154,7 +154,7 @@ class Sensors:
 
     cistern: ModbusSensor | MqttSensor = entry("level sensor of the cistern (m)")
     roof: ModbusSensor | MqttSensor | None = entry(
-        "level sensor of the roof (m), which a site without a pump does not need", default=None
+        "level sensor of the roof (m), needed for a pump", default=None
     )
     flow_meter: ModbusSensor | MqttSensor | None = entry(
         "flow meter of the pump (m3/s)", default=None
@@ -166,10 +166,10 @@ class Sensors:
         "thermometer for the air temperature (degC)", default=None
     )
     open_switch: ModbusSensor | MqttSensor | None = entry(
-        "end switch that is 1 while the outlet valve is fully open, and otherwise 0", default=None
+        "1 while the outlet valve is fully open, otherwise 0", default=None
     )
     closed_switch: ModbusSensor | MqttSensor | None = entry(
-        "end switch that is 1 while the outlet valve is closed, and otherwise 0", default=None
+        "1 while the outlet valve is closed, otherwise 0", default=None
     )
 
     @property
