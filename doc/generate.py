@@ -19,39 +19,36 @@ import math
 import os
 import re
 import sys
-import types
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import fields, is_dataclass
 from pathlib import Path
-from typing import Any, Union, get_args, get_origin
+from typing import Any
 from unittest import mock
 
 DOC = Path(__file__).resolve().parent
 sys.path[:0] = [str(DOC), str(DOC.parent)]
 
 from layouts import LAYOUTS
-from layouts import rows as displays
 from pictures import draw as draw_pictures
 from who_publishes import WAYS, drawing
 
-from greenroof_ros.__main__ import COMMANDS, GROUPS
+from greenroof_ros.__main__ import COMMANDS
 from greenroof_ros.analysis.district.file import (
     District,
     DistrictWeather,
     Draw,
     Orifice,
 )
-from greenroof_ros.api.scenarios import read_references
+from greenroof_ros.api.scenarios import read_references, scenarios
 from greenroof_ros.base.files import (
     default_site_file,
-    parse_yaml,
-    read_text,
     read_yaml,
     shared_directory,
 )
 from greenroof_ros.base.parameter import Parameter, parameters_of
+from greenroof_ros.base.ranges import Range
 from greenroof_ros.controllers.outlet import PARAMETERS
 from greenroof_ros.controllers.registry import BUILT_IN, find_controller
-from greenroof_ros.interface.alarm import Alarm
 from greenroof_ros.interface.conditions import (
     LATCHED,
     Interlock,
@@ -63,16 +60,18 @@ from greenroof_ros.interface.topics import Topic, read_topics
 from greenroof_ros.live.devices import drive_file, sensor_file
 from greenroof_ros.live.pumping.limits import pump_parameters
 from greenroof_ros.physics.storm_water import Event
-from greenroof_ros.results.metrics import METRICS
-from greenroof_ros.site.file import DETERMINES, SITE_KEYS, SUBSTRATES, read_site
+from greenroof_ros.results.metrics import METRICS, Metric
+from greenroof_ros.site.file import DETERMINES, SITE_KEYS, read_site
 from greenroof_ros.site.site import Site
 from greenroof_ros.weather.description import Description
-from greenroof_ros.weather.quantities import QUANTITIES, ROOF, known_units
+from greenroof_ros.weather.quantities import QUANTITIES, known_units
 
 _BLOCK = re.compile(
     r"(?<=<!-- table: )(?P<name>[a-z_ ]+)(?P<gap> -->\n)(?P<table>.*?)(?=<!-- end of table -->)",
     re.DOTALL,
 )
+# A limit this far from 0 only excludes nonsense.
+_BEYOND = 1e5
 # An option, or a command with its options.
 _CODE = re.compile(
     rf"\bgreenroof (?:{'|'.join(COMMANDS)})\b(?: --[a-z-]+)*|(?<![\w-])--[a-z][a-z-]*(?:=-?\d+)?"
@@ -95,33 +94,34 @@ def cell(text: object) -> str:
 
 
 def markdown(header: Iterable[str], rows: Iterable[Iterable[object]]) -> str:
-    """Return a table; a cell that is a tuple has a line for each of its texts that is not empty."""
-
-    def part(content: object) -> str:
-        texts = content if isinstance(content, tuple) else (content,)
-        return "<br>".join(filter(None, map(cell, texts)))
-
+    """Return a table."""
     names = list(header)
     lines = [f"| {' | '.join(names)} |", "|" + "---|" * len(names)]
-    lines += [f"| {' | '.join(map(part, row))} |" for row in rows]
+    lines += [f"| {' | '.join(map(cell, row))} |" for row in rows]
     return "\n".join(lines) + "\n"
 
 
 def entries(rows: Iterable[Sequence[str]]) -> str:
-    """Return a list of names, each with its type and its meaning, which may have several lines.
+    """Return a list of names, each with its value and limits in parentheses, and its meaning.
 
     The lines of a list break anywhere, while a table of long names is wider than a phone.
     """
     return "".join(
-        f"- **{cell(name)}**{f' ({cell(kind)})' if kind else ''}: "
-        f"{'<br>'.join(map(cell, filter(None, lines)))}\n"
-        for name, kind, *lines in rows
+        f"- **{cell(name)}**{f' ({cell(kind)})' if kind else ''}: {cell(meaning)}\n"
+        for name, kind, meaning in rows
     )
 
 
-def sentences(*texts: str) -> str:
-    """Return the texts that are not empty, as sentences."""
-    return ". ".join(filter(None, texts))
+def joined(*texts: str) -> str:
+    """Return the texts that are not empty, separated by semicolons."""
+    return "; ".join(filter(None, texts))
+
+
+def limits(valid: Range) -> str:
+    """Return the allowed values; a limit that only excludes nonsense is left out."""
+    if valid.words:
+        return " or ".join(f"`{each}`" for each in valid.words if each)
+    return valid.limits if valid.low > -_BEYOND and valid.high < _BEYOND else ""
 
 
 def number(value: object) -> str:
@@ -152,64 +152,38 @@ def quantity(value: object, unit: str) -> str:
 
 
 def topics() -> str:
-    """Return the content of each topic."""
+    """Return unit, range, publishers, meaning and quality of service of each topic."""
     return entries(
         (
-            f"`{topic.name}`", ", ".join(filter(None, (topic.unit, kind))),
-            topic.meaning,
-            sentences(
-                f"Published by {describe_roles(topic.publishers, topic.live_publishers)}",
-                f"Read by {readers}" if readers else "",
-            ),
-        )
-        for topic in read_topics().values()
-        for kind in [topic.type.replace("/msg/", "/")]
-        for readers in [describe_roles(topic.subscribers, topic.live_subscribers)]
-    )
-
-
-def describe_roles(simulated: Collection[str], live: Collection[str]) -> str:
-    """Return who publishes or subscribes, first in a simulation, then in a live graph."""
-    words = [", ".join(simulated)] if simulated else []
-    return "; ".join([*words, f"live: {', '.join(live)}"] if live else words)
-
-
-def quality() -> str:
-    """Return range and quality of service of each topic, and how tools show it."""
-    shown = {name: (label, unit) for name, label, _, unit in displays()}
-
-    def values(topic: Topic) -> str:
-        limits = topic.range.limits or "finite" if "Float64" in topic.type else "any"
-        unit = "" if topic.unit == "1" or not topic.range.limits else topic.unit
-        display = ", ".join(filter(None, shown.get(f"`{topic.name}`", ())))
-        return f"{limits} {unit}".rstrip() + (f" (in layouts: {display})" if display else "")
-
-    def messages(topic: Topic) -> str:
-        if not topic.publishers:
-            return "published with each measurement, in a live graph only"
-        if not topic.per_tick:
-            if "recorder" in topic.live_subscribers:
-                return "published as required, recorded at a live site only"
-            return "published as required, not recorded"
-        if topic.needs:
-            return f"only at a site with {topic.needs}"
-        return "published by some controllers only" if topic.optional else ""
-
-    def service(topic: Topic) -> str:
-        qos = topic.qos
-        texts = [] if qos.reliability == "reliable" else [qos.reliability.replace("_", " ")]
-        texts += [] if qos.durability == "transient_local" else [qos.durability]
-        texts += [] if qos.depth == 64 else [f"depth {qos.depth}"]
-        texts += [f"lease {qos.lease_s:g} s"] if math.isfinite(qos.lease_s) else []
-        return ", ".join(texts)
-
-    return entries(
-        (
-            f"`{topic.name}`", "",
-            "; ".join(filter(None, (values(topic), messages(topic), service(topic)))),
+            f"`{topic.name}`", joined(_type(topic), _values(topic), _publishers(topic)),
+            joined(topic.meaning, "by some controllers only" * topic.optional, _service(topic)),
         )
         for topic in read_topics().values()
     )
+
+
+def _type(topic: Topic) -> str:
+    kind = topic.type.replace("/msg/", "/")
+    return "" if kind == "std_msgs/Float64" else kind.removeprefix("std_msgs/")
+
+
+def _values(topic: Topic) -> str:
+    return " ".join(filter(None, (limits(topic.range), topic.unit.removesuffix("1"))))
+
+
+def _publishers(topic: Topic) -> str:
+    """Return who publishes a topic, first in a simulation, then in a live graph."""
+    live = f"live: {', '.join(topic.live_publishers)}" if topic.live_publishers else ""
+    return joined(", ".join(topic.publishers), live)
+
+
+def _service(topic: Topic) -> str:
+    qos = topic.qos
+    texts = [] if qos.reliability == "reliable" else [qos.reliability.replace("_", " ")]
+    texts += [] if qos.durability == "transient_local" else [qos.durability]
+    texts += [] if qos.depth == 64 else [f"depth {qos.depth}"]
+    texts += [f"lease {qos.lease_s:g} s"] if math.isfinite(qos.lease_s) else []
+    return ", ".join(texts)
 
 
 # --- controllers and metrics ----------------------------------------------------------------------
@@ -220,10 +194,6 @@ _ANY = "any controller, at a site with a valve"
 
 def controllers() -> str:
     """Return the parameters of every controller of this package, each once, and of the valve."""
-
-    def type_of(each: Parameter) -> str:
-        return "string" if each.among else "integer" if each.whole else "double"
-
     parts: list[str] = []
     described: dict[Parameter, str] = {}
     for name in (*BUILT_IN, _ANY):
@@ -231,10 +201,7 @@ def controllers() -> str:
         first = [each for each in parameters if described.setdefault(each, name) == name]
         parts.append(f"## {name}\n")
         parts.append(entries(
-            (
-                *_declared(each, type_of(each)),
-                sentences(each.meaning, "May change in a run" if each.may_change else ""),
-            )
+            (*_declared(each), joined(each.meaning, "may change in a run" * each.may_change))
             for each in first
         ))
         elsewhere = [each for each in parameters if each not in first]
@@ -244,17 +211,24 @@ def controllers() -> str:
     return "\n".join(parts)
 
 
-def _declared(parameter: Parameter, kind: str) -> tuple[str, str]:
-    """Return a parameter's name, and its type, default and range."""
+def _declared(parameter: Parameter) -> tuple[str, str]:
+    """Return a parameter's name, and its default and range."""
     default = parameter.default
     unknown = isinstance(default, float) and math.isnan(default)  # it depends on the site
-    shown = f"{kind}, {parameter.unit if unknown else quantity(default, parameter.unit)}"
-    return f"`{parameter.name}`", "; ".join(filter(None, (shown, parameter.limits)))
+    shown = parameter.unit if unknown else quantity(default, parameter.unit)
+    return f"`{parameter.name}`", joined(shown, limits(parameter.range))
 
 
 def metrics() -> str:
-    """Return the metrics of a run, whose names end in their units."""
-    return entries((f"`{entry.name}`", entry.label, entry.meaning) for entry in METRICS)
+    """Return the metrics of a run, whose names end in their units; those of peaks are one entry."""
+
+    def kind(entry: Metric) -> str:
+        return re.sub(r"\d+min|\d+ min", "MINUTES", entry.name + entry.meaning)
+
+    groups = (list(group) for _, group in itertools.groupby(METRICS, kind))
+    return entries(
+        (", ".join(f"`{entry.name}`" for entry in group), "", group[0].meaning) for group in groups
+    )
 
 
 def events() -> str:
@@ -266,42 +240,27 @@ def events() -> str:
 
 
 def site() -> str:
-    """Return the parameters of a site, with the values of the paper's site."""
-    paper = read_site(shared_directory() / "config" / "site.yaml")
+    """Return the optional parameters of a site that the paper's site file does not explain."""
+    path = shared_directory() / "config" / "site.yaml"
+    paper, explained = read_site(path), read_yaml(path)
     return entries(
         (
-            f"`{entry.name}`", quantity(getattr(paper, entry.name), entry.unit),
-            sentences(
-                entry.meaning,
-                "" if entry.default is None else f"The default is {number(entry.default)}",
-            ),
+            f"`{entry.name}`", quantity(getattr(paper, entry.name), entry.unit), entry.meaning,
         )
-        for entry in parameters_of(Site)
+        for entry in parameters_of(Site) if entry.name not in explained
     )
 
 
 def plain_keys() -> str:
-    """Return the keys of a site file in plain words."""
+    """Return the keys of a site file in plain words, with usual values."""
 
     def kind(entry: Parameter) -> str:
         usual = "" if entry.usual is None else f"usually {entry.usual[0]:g} to {entry.usual[1]:g}"
-        return " ".join(filter(None, (usual, entry.unit))) or "name"
+        return " ".join(filter(None, (usual, entry.unit)))
 
     return entries(
-        (f"`{name}`", kind(entry), f"{entry.meaning}; determines {', '.join(names)}")
-        for name, names in DETERMINES.items() for entry in [SITE_KEYS[name]]
-    )
-
-
-def substrates() -> str:
-    """Return the named substrates, with values and sources."""
-    return markdown(
-        ("`substrate`", "field capacity", "wilting point", "layer (mm)", "source"),
-        (
-            (f"`{name}`", f"{each['field_capacity']:g}", f"{each['wilting_point']:g}",
-             f"{1000 * each['drainage_storage']:g}", each["about"])
-            for name, each in SUBSTRATES.items()
-        ),
+        (f"`{name}`", kind(entry), entry.meaning)
+        for name in DETERMINES for entry in [SITE_KEYS[name]]
     )
 
 
@@ -310,7 +269,6 @@ def substrates() -> str:
 # Names of the parts of a drive's file.
 _DRIVE_PARTS = {
     "the file": drive_file.DriveFile,
-    "`serial`": drive_file.Serial,
     "`registers`, each": drive_file.Register,
     "`sequences`": drive_file.Sequences,
     "a step of `sequences`": drive_file.Step,
@@ -322,43 +280,14 @@ _DRIVE_PARTS = {
 }
 
 
-_RELAY_PARTS = {
-    "the file": drive_file.RelayFile,
-    "`state`": drive_file.RelayState,
-    "`timer`": drive_file.Timer,
-    "`must`, each": drive_file.Setting,
-    "`switch_on`, `switch_off`": drive_file.RelayMessage,
-}
-
-
-def _kind(key: Parameter) -> str:
-    """Return the kinds of values that a key of a file accepts."""
-    names = {
-        str: "text", int: "whole number", float: "number", tuple: "list",
-        bool: "true or false",
-    }
-    union = get_origin(key.kind) in (Union, types.UnionType)
-    kinds = get_args(key.kind) if union else (key.kind,)
-    return " or ".join(dict.fromkeys(
-        names.get(get_origin(kind) or kind, "mapping") for kind in kinds
-        if kind is not types.NoneType
-    ))
-
-
 def drive_files() -> str:
-    """Return every key of a drive's file."""
+    """Return the keys of a drive's file."""
     return _keys(_DRIVE_PARTS)
 
 
-def relay_files() -> str:
-    """Return every key of a relay's file."""
-    return _keys(_RELAY_PARTS)
-
-
 def sensors_file() -> str:
-    """Return every key of a file of sensors."""
+    """Return the keys of each sensor in a file of sensors."""
     return _keys({
-        "the file": sensor_file.Sensors,
         "a sensor on Modbus": sensor_file.ModbusSensor,
         "a sensor on MQTT": sensor_file.MqttSensor,
     })
@@ -373,97 +302,58 @@ def district_file() -> str:
 
 
 def _keys(parts: Mapping[str, Any]) -> str:
-    """Return every key of the parts of a file."""
+    """Return the keys of the parts of a file, without those inherited as in an earlier part."""
 
-    def holds(key: Parameter) -> str:
-        choices = (f"`{choice}`" for choice in key.among if choice)
-        unit = "" if key.unit == "1" else key.unit
-        limits = " ".join(filter(None, (key.range.limits, unit)))
-        accepted = ", ".join(filter(None, (limits, *choices)))
-        return "; ".join(filter(None, (_kind(key), accepted, "optional" * key.optional)))
+    def values(key: Parameter) -> str:
+        nothing = key.default in ("", -math.inf, math.inf)
+        stated = isinstance(key.default, (int, float, str)) and not nothing
+        default = f"default {number(key.default)}" if stated else "optional"
+        return joined(_limits_with_unit(key), default if key.optional else "")
 
-    return "\n".join(
-        f"### {title[0].upper()}{title[1:]}\n\n"
-        + entries((f"`{key.name}`", holds(key), key.meaning) for key in parameters_of(kind))
-        for title, kind in parts.items()
-    )
+    texts, earlier = [], list[type]()
+    for title, kind in parts.items():
+        inherited = {
+            each.name for base in kind.__mro__ if is_dataclass(base)
+            and any(issubclass(other, base) for other in earlier) for each in fields(base)
+        }
+        earlier.append(kind)
+        texts.append(f"### {title[0].upper()}{title[1:]}\n\n" + entries(
+            (f"`{key.name}`", values(key), key.meaning)
+            for key in parameters_of(kind) if key.name not in inherited
+        ))
+    return "\n".join(texts)
 
 
-def _files_of_drives(*, relays: bool) -> list[Path]:
-    paths = sorted((shared_directory() / "config" / "drives").glob("*.yaml"))
-    return [path for path in paths if ("protocol" in read_yaml(path)) is relays]
-
-
-def relays() -> str:
-    """Return the relays with files in the package, and what is not verified in them."""
-    parts = []
-    for path in _files_of_drives(relays=True):
-        relay = drive_file.read_relay_file(path)
-        parts += [
-            f"### {path.stem}\n\n{cell(relay.make)}: {cell(relay.model)}.\n",
-            "**Timer of the relay**\n",
-            entries([("Set it", "", relay.timer.how_to_set)]),
-            "Other settings required on the relay:\n",
-            "\n".join(f"- {cell(text)}" for text in relay.set_up) + "\n",
-        ]
-        if relay.unverified:
-            names = ", ".join(f"`{key}`" for key in relay.unverified)
-            parts.append(f"Unverified keys, which are reported at startup: {names}.\n")
-    return "\n".join(parts)
+def _limits_with_unit(key: Parameter) -> str:
+    return " ".join(filter(None, (limits(key.range), "" if key.unit == "1" else key.unit)))
 
 
 def drives() -> str:
-    """Return the drives with files in the package, and what is not verified in them."""
-    parts = []
-    for path in _files_of_drives(relays=False):
-        drive = drive_file.read_drive_file(path)
-        parts.append(f"### {drive.path.stem}\n\n{cell(drive.make)}: {cell(drive.model)}.\n")
-        ports: dict[str, list[str]] = {}
-        for interface, timeout in drive.timeout.items():
-            where = "drive's Ethernet port" if interface == "tcp" else "serial port"
-            ports.setdefault(timeout.how_to_set, []).append(where)
-        for how_to_set, where in ports.items():
-            parts.append(f"**Communication timeout of the {' and the '.join(where)}**\n")
-            parts.append(entries([("Set it", "", how_to_set)]))
-        parts.append("Other settings required on the drive:\n")
-        parts.append("\n".join(f"- {cell(text)}" for text in drive.set_up) + "\n")
-        names = ", ".join(f"`{key}`" for key in drive.unverified)
-        parts.append(f"Unverified keys, which are reported at startup: {names}.\n")
-    return "\n".join(parts)
+    """Return the drives and relays with files in the package."""
+    paths = sorted((shared_directory() / "config" / "drives").glob("*.yaml"))
+    files = [(path.stem, read_yaml(path)) for path in paths]
+    return entries((f"`{name}`", "", f"{file['make']}: {file['model']}") for name, file in files)
 
 
 def pump_settings() -> str:
     """Return the settings of the pump's logic, with their defaults for the paper's site."""
     site = read_site(shared_directory() / "config" / "site.yaml")
-    return entries((*_declared(entry, "double"), entry.meaning) for entry in pump_parameters(site))
+    return entries((*_declared(entry), entry.meaning) for entry in pump_parameters(site))
 
 
-def interlocks() -> str | None:
-    """Return the conditions that keep the pump off or the valve closed; None without ROS 2."""
-    if importlib.util.find_spec("rclpy") is None:
-        return None
-    from greenroof_ros.live import pump, valve, weather
-
-    meanings, site = read_conditions(), read_site(default_site_file())
-    with_valve = read_site(default_site_file().with_name("site_valve.yaml"))
-    limits = {entry.name: entry for entry in (
-        *valve.parameters(with_valve), *weather.parameters(site), *pump.parameters(site),
-    )}
-
-    def limit(name: str) -> str:
-        return f"`{name}` ({quantity(limits[name].default, limits[name].unit).replace('`', '')})"
+def interlocks() -> str:
+    """Return the conditions that keep the pump off or the valve closed."""
+    meanings = read_conditions()
 
     def row(code: str, entry: Interlock) -> tuple[str, str, str]:
-        parts = [meanings[code].meaning]
-        if entry.valve or VALVE in meanings[code].by_role:
-            parts.append(f"{'only' if entry.valve else 'also'} for the outlet valve")
-        if entry.limit:
-            parts.append(f"parameters: {', '.join(map(limit, entry.limit))}")
+        also = "also valve" * (VALVE in meanings[code].by_role)
+        text = meanings[code].meaning
         if entry.by or entry.on_page:
             by = entry.by or ("~/reset" if entry.kind == LATCHED else "itself")
-            parts.append(f"cleared by {by}{' or the page' * entry.on_page}")
-        text = re.sub(r"(?<!`)(~/\w+|/pump/\w+)", r"`\1`", "; ".join(parts))
-        return f"`{code}`", "", text
+            text += f"; cleared by {by}{' or the page' * entry.on_page}"
+        text = re.sub(r"(?<!`)(~/\w+|/pump/\w+)", r"`\1`", text)
+        names = ", ".join(f"`{name}`" for name in entry.limit)
+        return f"`{code}`", joined("valve only" if entry.valve else also, names), text
 
     kinds = itertools.groupby(read_interlocks().items(), lambda item: item[1].kind)
     return "\n".join(
@@ -472,69 +362,23 @@ def interlocks() -> str | None:
     )
 
 
-# What a code is about: how it begins; all interlocks are about the pump.
-_SUBJECTS = {
-    "Pump and outlet valve": "drive_ driver_ standstill_ stop_ valve_",
-    "Inputs and sensors": "input_ sensor_ readings_ broker_ values_ devices_",
-    "Forecast and weather": "forecast_ no_forecast temperature_ freezing thermometer_ gauge_",
-    "Controller, recorder and nodes": "controller_ not_ peers_ node_ station_",
-}
-
-
-def _subject(code: str) -> str:
-    """Return what a condition is about, as a heading."""
-    return next(
-        subject for subject, beginnings in _SUBJECTS.items()
-        if code.startswith(tuple(beginnings.split()))
-    )
-
-
-def conditions() -> str:
-    """Return each code that a status may have besides those of interlocks, by subject."""
-    codes: dict[str, list[tuple[str, str, str]]] = {subject: [] for subject in _SUBJECTS}
-    for code, condition in read_conditions().items():
-        if condition.interlock is None:
-            codes[_subject(code)].append((f"`{code}`", "", condition.meaning))
-    return "\n".join(f"### {subject}\n\n{entries(rows)}" for subject, rows in codes.items())
-
-
 def quantities() -> str:
-    """Return the quantities of weather and roofs."""
-    return markdown(
-        ("column", "units", "record", "physical range"),
-        (
-            (
-                name, ", ".join(f"`{unit}`" for unit in known_units(name)),
-                "roof" if name in ROOF else "weather",
-                f"{quantity.low:g} to {quantity.high:g} {quantity.unit}".removesuffix(" 1"),
-            )
-            for name, quantity in QUANTITIES.items()
-        ),
-    )
+    """Return the quantities of weather and roofs, with their units."""
+    by_units: dict[tuple[str, ...], list[str]] = {}
+    for name in QUANTITIES:
+        by_units.setdefault((*known_units(name),), []).append(name)
+    return markdown(("column", "units"), (
+        (", ".join(names), " ".join(f"`{unit}`" for unit in units))
+        for units, names in by_units.items()
+    ))
 
 
 def description() -> str:
     """Return the keys of a description of a weather file."""
-    return markdown(("key", "meaning"), (
-        (f"`{key.name}`", key.description + (
-            f": {key.limits}" if key.among else ""
-        ))
+    return entries(
+        (f"`{key.name}`", "" if key.name == "sep" else _limits_with_unit(key), key.meaning)
         for key in parameters_of(Description) if key.name not in ("name", "header")
-    ))
-
-
-def plausible() -> str:
-    """Return the limits of climates."""
-    path = shared_directory() / "config" / "plausible.yaml"
-    return markdown(("statistic", "limits", "likely mistake", "source of the limits"), (
-        (
-            row["statistic"],
-            f"{row.get('low', '')} to {row.get('high', '')} {row['unit']}".removeprefix(" to ")
-            if "low" in row else f"up to {row['high']} {row['unit']}",
-            row["mistake"], row["source"],
-        )
-        for row in parse_yaml(read_text(path), path)
-    ))
+    )
 
 
 def _attributes(kind: type) -> list[tuple[str, str]]:
@@ -552,13 +396,6 @@ def _json_words(text: str) -> str:
     return text.rstrip(".")
 
 
-def alarm() -> str:
-    """Return the keys of an alarm."""
-    return markdown(("key", "meaning"), (
-        (f"`{name}`", text) for name, text in _attributes(Alarm)
-    ))
-
-
 # --- commands -------------------------------------------------------------------------------------
 
 
@@ -569,15 +406,10 @@ def parser_of(name: str, arguments: Sequence[str] = ()) -> argparse.ArgumentPars
         return parser
 
 
-def command_groups() -> str:
-    """Return what each command of ``greenroof`` does, grouped by the user's purpose."""
-    return "\n".join(
-        f"**{title[0].upper()}{title[1:]}**\n\n" + markdown(
-            ("command", "what it does"),
-            ((f"`{name}`", entry.about) for name, entry in group.items()),
-        )
-        for title, group in GROUPS.items()
-    )
+def commands() -> str:
+    """Return what each command of ``greenroof`` does."""
+    rows = ((f"`{name}`", entry.about) for name, entry in COMMANDS.items())
+    return markdown(("command", "what it does"), rows)
 
 
 # --- nodes ----------------------------------------------------------------------------------------
@@ -587,12 +419,11 @@ def nodes() -> str | None:
     """Return the parameters that each node declares; None without ROS 2."""
     if importlib.util.find_spec("rclpy") is None:
         return None
-    from rclpy.parameter import Parameter as RosParameter
-
     from greenroof_ros.live import controller as live_controller
     from greenroof_ros.live import external_pump, pump, sensors, valve
     from greenroof_ros.live import recorder as live_recorder
     from greenroof_ros.live import weather as live_weather
+    from greenroof_ros.live.levels import LIMITS
     from greenroof_ros.nodes import alarms, controller, plant, recorder, weather
     site = read_site(default_site_file())
     declared = {
@@ -605,63 +436,63 @@ def nodes() -> str | None:
         "valve": valve.parameters(read_site(default_site_file().with_name("site_valve.yaml"))),
         "alarms": alarms.parameters(site),
     }
+    settings = {parameter.name for parameter in pump_parameters(site)}
+    options = {
+        action.dest for command in ("run", "live") for action in parser_of(command)._actions
+    }
     of_nodes: dict[tuple[str, str, str], list[str]] = {}
+    same, ages = set(), set()
     for node, parameters in declared.items():
-        for parameter in parameters:
-            kind = RosParameter.Type.from_parameter_value(parameter.default).name
-            name = kind.lower().replace("_", " ")
-            row = (*_declared(parameter, name), parameter.meaning)
-            of_nodes.setdefault(row, []).append(node)
-    settings = {f"`{parameter.name}`" for parameter in pump_parameters(site)}
-    shared = [
-        (name, kind, meaning, f"Nodes: {', '.join(nodes)}")
-        for (name, kind, meaning), nodes in of_nodes.items()
-        if len(nodes) > 1 and name not in settings
-    ]
-    return "\n".join([
-        "### several nodes\n\n" + entries(shared),
-        *(
-            f"### {node}\n\n{entries(own)}" for node in declared
-            if (own := [row for row, nodes in of_nodes.items() if nodes == [node]])
-        ),
-    ])
+        for each in parameters:
+            if each.name in options:
+                same.add(f"`{each.name}`")
+            elif each in LIMITS.values():
+                ages.add(f"`{each.name}` ({each.default:g} s)")
+            elif node == "valve" or each.name not in settings:
+                of_nodes.setdefault((*_declared(each), each.meaning), []).append(node)
+    return entries(
+        (name, joined(values, ", ".join(nodes)), meaning)
+        for (name, values, meaning), nodes in of_nodes.items()
+    ) + (
+        f"\nMaximum ages of live inputs: {', '.join(sorted(ages))}.\n"
+        f"\nLike the options of `greenroof run` and `live`: {', '.join(sorted(same))}.\n"
+    )
 
 
 def scenario_scores() -> str:
-    """Return the scores of each scenario's controllers, the best first."""
-    return "\n".join(
-        f"**`{name}`**\n\n" + markdown(("controller", "score", "at best", "water stress"), (
-            (controller, f"{score:.2f}", f"{bound:.2f}", f"{stress:.0f} h")
-            for _, controller, score, bound, stress in own.sort("score", maintain_order=True).rows()
-        ))
-        for (name,), own in read_references().group_by("scenario", maintain_order=True)
-    )
+    """Return the scores of the controllers, in a table for each unit of the scores."""
+    references: dict[str, dict[str, str]] = {}
+    for scenario, controller, score, bound, stress in read_references().iter_rows():
+        rows = references.setdefault(scenario, {"at best": f"{bound:.2f}"})
+        rows[controller] = f"{score:.2f}" + f" ({stress:.0f} h)" * (stress > 0)
+    texts = []
+    for unit in dict.fromkeys(each.unit for each in scenarios.values()):
+        columns = {name: rows for name, rows in references.items() if scenarios[name].unit == unit}
+        controllers = dict.fromkeys(itertools.chain.from_iterable(columns.values()))
+        texts.append(markdown((f"score ({unit})", *columns), (
+            (controller, *(rows.get(controller, "") for rows in columns.values()))
+            for controller in controllers
+        )))
+    return "\n".join(texts)
 
 
 TABLES: dict[str, Callable[[], str | None]] = {
     "topics": topics,
-    "quality of service": quality,
     "controllers": controllers,
     "metrics": metrics,
     "events": events,
     "site": site,
     "plain site keys": plain_keys,
-    "substrates": substrates,
     "pump settings": pump_settings,
     "interlocks": interlocks,
-    "conditions": conditions,
     "quantities": quantities,
     "description": description,
-    "plausible": plausible,
-    "alarm": alarm,
-    "command groups": command_groups,
+    "commands": commands,
     "nodes": nodes,
     "drive file": drive_files,
     "drives": drives,
     "sensors file": sensors_file,
     "district file": district_file,
-    "relay file": relay_files,
-    "relays": relays,
     "scenarios": scenario_scores,
 }
 

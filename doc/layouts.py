@@ -8,7 +8,6 @@ function in PlotJuggler, which makes a series.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 from xml.etree import ElementTree
@@ -208,10 +207,3 @@ def _add(above: ElementTree.Element, tag: str, **attributes: str) -> ElementTree
 
 
 LAYOUTS = {"greenroof.foxglove.json": foxglove, "greenroof.plotjuggler.xml": plotjuggler}
-
-
-def rows() -> Iterable[tuple[str, str, str, str]]:
-    """Yield how each topic with a unit is shown: topic, label, unit and unit as shown."""
-    for topic in read_topics().values():
-        if topic.display is not None:
-            yield f"`{topic.name}`", topic.display.label, topic.unit, topic.display.unit

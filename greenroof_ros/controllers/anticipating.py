@@ -32,15 +32,14 @@ _PAYS, _PAYS_ON_FIELD_CAPACITY = 120.0, 48.0
 OF_FORECAST = (
     Parameter(
         "horizon", _PAYS, "h", 0.1, MAX_HORIZON,
-        f"length of the forecast that is used; the default is {_PAYS_ON_FIELD_CAPACITY:g} on a "
-        "roof with field-capacity soil, and the weather node needs the same value",
+        f"length of the forecast that is used; {_PAYS_ON_FIELD_CAPACITY:g} by default on a "
+        "field-capacity soil; the weather node needs the same value",
         on_field_capacity=_PAYS_ON_FIELD_CAPACITY,
     ),
     # By default, as many days as the longest forecast covers.
     Parameter(
         "days_after", 10, "days", 0, 10,
-        "number of days by which the plan extends the forecast and during which the roof dries "
-        "slowly; set 0 if the run ends with the forecast",
+        "days of slow drying by which the plan extends the forecast; 0 if the run ends with it",
     ),
 )
 OF_WAITING = (OBSERVER_TIME_CONSTANT, WAITING_BUDGET, WAITING_SHARE)

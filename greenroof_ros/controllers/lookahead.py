@@ -99,13 +99,11 @@ class Lookahead(Anticipating):
         ),
         Parameter(
             "recourse", 48.0, "h", 1.0, MAX_HORIZON, "period for which a common level is chosen "
-            "for all members; after each such period, later forecasts are assumed to have revealed "
-            "which half of the members is wrong",
+            "for all members; later forecasts are assumed to have shown which half is wrong",
         ),
         Parameter(
-            "min_on", 0.0, "s", 0.0, 86_400.0, "minimum on-time of the pumps (in a simulation, at "
-            "least pump_min_on); filling is planned to take at least this long, so that the "
-            "pumps do not keep running afterwards",
+            "min_on", 0.0, "s", 0.0, 86_400.0, "minimum on-time of the pumps, which filling is "
+            "planned to take (in a simulation, at least pump_min_on)",
         ),
         *OF_WAITING,
     )

@@ -47,25 +47,22 @@ SHARE = Range(0.0, 1.0, "1")
 
 PARAMETERS = (
     Parameter(
-        "outlet", DRAIN, "", meaning="policy of the outlet valve. closed and open: the valve never "
-        "moves; drain: the valve opens in dry weather, until the cistern is down to the reserve; "
-        "plan: the valve opens in dry weather before forecast rain for which the cistern has no "
-        "room; without a forecast, plan behaves like drain", among=POLICIES,
+        "outlet", DRAIN, "", meaning="policy of the outlet valve, which never moves or, in dry "
+        "weather, opens until the cistern is down to the reserve (drain), or before forecast rain "
+        "for which there is no room (plan; without a forecast like drain)", among=POLICIES,
     ),
     Parameter(
-        "outlet_reserve", math.nan, "m3", 0.0, 1e9, "volume that drain leaves in the cistern; plan "
-        "keeps this volume, or the water that the roof needs for outlet_reach if this is more, "
-        "unless the cistern has no room for the forecast rain; by default, ten days of "
-        "irrigation at 4 mm a day, but at most half the volume of the cistern",
+        "outlet_reserve", math.nan, "m3", 0.0, 1e9, "volume that drain leaves in the cistern, and "
+        "plan if outlet_reach needs less; by default, ten days of irrigation at 4 mm a day, but at "
+        "most half the cistern",
     ),
     Parameter(
-        "outlet_price", PRICE, "1", 0.0, 1e3, "for plan: cost of one m3 of mains water, "
-        "expressed in m3 of discharge in wet weather",
+        "outlet_price", PRICE, "1", 0.0, 1e3, "for plan: cost of 1 m3 of mains water, in m3 of "
+        "discharge in wet weather",
     ),
     Parameter(
-        "outlet_reach", 20.0, "days", 0.0, 365.0, "for plan: period for which plan keeps the "
-        "water that the roof needs; in dry weather, plan releases all water above this need and "
-        "above outlet_reserve",
+        "outlet_reach", 20.0, "days", 0.0, 365.0, "for plan: period for which the water that the "
+        "roof needs is kept, unless there is no room for forecast rain",
     ),
 )
 """parameters of every controller at a site with a valve"""

@@ -16,8 +16,7 @@ _LOST_S = 604_800.0
 WAITING_BUDGET = Parameter(
     "waiting_budget", 72.0, "h", 0.0, 1e6,
     "maximum extra cost of waiting for rain compared with plain on/off control, in hours of an "
-    "empty roof; if the cost exceeds waiting_budget plus waiting_share, forecasts of rain are "
-    "ignored",
+    "empty roof, above which forecasts of rain are ignored",
 )
 WAITING_SHARE = Parameter(
     "waiting_share", 0.05, "1", 0.0, 1.0,

@@ -41,17 +41,17 @@ class ForecastChoice:
     model: str = PERFECT
     file: Path | None = None
     skill: str = entry(
-        "skill of the forecasts that errors and ensemble generate: real for the skill of a "
-        "weather service, or none for rain at random times", choices=SKILLS, default=REAL,
+        "skill of errors and ensemble: real for that of a weather service, none for rain at random "
+        "times", choices=SKILLS, default=REAL,
     )
     seed: int = entry(
-        "random seed of the forecast errors, for errors and ensemble", 0, 2**31 - 1, default=0,
+        "random seed of errors and ensemble", 0, 2**31 - 1, default=0,
     )
     members: int = entry("number of members of an ensemble", 1, MAX_MEMBERS, default=10)
     delay: float | None = entry(
-        "for errors, ensemble and files: time from the nominal time of a forecast until it is "
-        f"available; by default {SERVICE_DELAY_H:g} h, but for a file in this project's format the "
-        "time that the file states, or 0", 0.0, 48.0, unit="h", default=None,
+        "time from the nominal time of a forecast until it is available; by default "
+        f"{SERVICE_DELAY_H:g} h, but for a file in this project's format the time that it states, "
+        "or 0", 0.0, 48.0, unit="h", default=None,
     )
 
     def __str__(self) -> str:

@@ -36,20 +36,18 @@ class Alarm:
     """A fault, as shown to users and stored in ``alarms.jsonl``.
 
     Attributes:
-        number: number of the alarm: 1, 2, ... in the order in which the alarms began; 0 if it is
-            not an alarm, since it may still arrive while the site is starting.
+        number: number of the alarm, from 1 in the order of their beginnings; 0 if it is not an
+            alarm, since the site is starting.
         node: fully qualified name of the node that reports the fault or does not respond.
         part: part of the node; empty for the node itself.
         role: the node's role in the interface.
         code: code of the condition.
         level: ``error``, ``stale`` (no report), or ``warn`` for a warning.
         sentence: sentence that describes the fault, as last reported.
-        since: beginning of the fault, as reported by the node (s since 1970; in the file, UTC in
-            ISO 8601 format).
-        ended: end of the fault, in the same format as its beginning; None while the fault lasts.
-        seconds: duration of the fault on the steady clock (s); None while the fault lasts or if the
-            duration is unknown.
-        follows: node and part of the alarm that causes this alarm; empty if there is no such alarm.
+        since: beginning of the fault (s since 1970; in the file, UTC in ISO 8601 format).
+        ended: end of the fault, likewise; None while it lasts.
+        seconds: duration on the steady clock (s); None while the fault lasts, or if unknown.
+        follows: node and part of the alarm that causes this one; empty if there is none.
         about: the topics concerned, or the nodes that are being waited for.
         fault: a device's own fault or warning.
     """

@@ -40,9 +40,8 @@ from greenroof_ros.ros.parameters import declare
 from greenroof_ros.site.site import Site
 
 STATE_FILE = Parameter(
-    "state_file", "", meaning="file that preserves holds, faults and the pump's usage in the "
-        "last 24 h across restarts; if empty, greenroof_ros/NAME.json in $XDG_STATE_HOME or "
-        "~/.local/state",
+    "state_file", "", meaning="file that preserves holds, faults and the use in the last 24 h; if "
+        "empty, greenroof_ros/NAME.json in $XDG_STATE_HOME or ~/.local/state",
 )
 COMMAND, FLOW, STATE = "/pump/command", "/pump/flow", "/pump/state"
 COMMAND_LIMIT = LIMITS[COMMAND]

@@ -51,12 +51,10 @@ _STARTING_S = 12.0
 _SAVE_S = 600.0
 LIVE_PARAMETERS = live_parameters([*LEVELS, *FORECASTS, FROST, _FLOW, _GAUGE, _HOLD])
 EXTERNAL_PUMP = Parameter(
-    "external_pump", False, meaning="whether your own node runs the pump: the command is then 0 "
-        "while /pump/hold is 1 or is not arriving",
+    "external_pump", False, meaning="whether your own node runs the pump, which obeys /pump/hold",
 )
 LEARNED_FILE = Parameter(
-    "state_file", "", meaning="file in which the cost of waiting for rain is preserved across "
-        "restarts; if empty, the cost is not preserved",
+    "state_file", "", meaning="file that preserves the cost of waiting for rain across restarts",
 )
 
 

@@ -23,13 +23,12 @@ from greenroof_ros.ros.diagnostics import ERROR, WARN
 from greenroof_ros.site.site import Site
 
 TIMEOUT_LIMIT = Parameter(
-    "drive_timeout_limit", LIMIT_S, "s", 0.1, 60.0, "maximum permitted value of the drive's own "
+    "drive_timeout_limit", LIMIT_S, "s", 0.1, 60.0, "maximum value of the drive's own "
         "communication timeout",
 )
 LOCAL_SETTINGS = Parameter(
-    "local_settings_stop_the_pump", False, meaning="confirmation that the drive has been set "
-        "to stop the pump when the bus connection is lost, and that the pump was observed to "
-        "stop in a test; must be true if that setting cannot be read",
+    "local_settings_stop_the_pump", False, meaning="confirmation that the drive stopped the "
+        "pump in a test when the bus was lost, if its settings cannot be read",
 )
 DRIVE_PARAMETERS = (*CHOICE, TIMEOUT_LIMIT, LOCAL_SETTINGS)
 # The codes that need nobody at once.

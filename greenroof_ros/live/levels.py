@@ -18,19 +18,17 @@ from greenroof_ros.site.site import Site
 
 RECOVERY = Parameter(
     "recovery_time", 10.0, "s", 0.0, 86400.0,
-        "time for which an input that has violated a rule must satisfy all rules before it is "
-        "used again",
+        "time for which a rejected input must satisfy all rules before it is used again",
 )
 _FROZEN_MOVEMENT = Parameter(
     "frozen_movement", 0.01, "", 1e-6, 10.0,
-        "change in level that the pump should have caused before an unchanged level "
-        "is considered frozen (m); must exceed the sensor's resolution",
+        "change that the pump should have caused before an unchanged level counts as frozen (m); "
+        "must exceed the sensor's resolution",
 )
 _JUMP_TOLERANCE = Parameter(
     "jump_tolerance", 0.02, "", 1e-6, 10.0,
-        "maximum difference between two successive values of a level, in excess of the change that "
-        "water can cause in the time between them (m); should be at "
-        "least 10 times the standard deviation of the sensor's noise",
+        "maximum difference between two values of a level beyond what water can cause (m); at "
+        "least 10 times the standard deviation of the noise",
 )
 
 

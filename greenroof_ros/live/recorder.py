@@ -43,11 +43,10 @@ _CONTENT = 12
 def parameters(site: Site | None = None) -> list[Parameter]:
     """Return the node's parameters, which are the same at every site."""
     return [
-        Parameter("directory", "bag", meaning="directory of the bag; recording continues in an "
-            "existing bag"),
+        Parameter("directory", "bag", meaning="directory of the bag, which may exist"),
         Parameter(
             "total_limit", 10_000.0, "MB", 0.2, 1e9, "size beyond which the bag's oldest files are "
-                "removed; each file is limited to a tenth of this size, and to 100 MB",
+                "removed",
         ),
     ]
 

@@ -45,22 +45,20 @@ def parameters(site: Site) -> list[Parameter]:
         site_file(),
         *look_ahead_parameters(),
         Parameter(
-            "forecast", "", meaning="forecast file (FILE.csv), which is read again whenever it is "
-                "replaced; empty for no forecast",
+            "forecast", "", meaning="forecast file (FILE.csv), read again whenever it is replaced",
         ),
         Parameter(
-            "fetch", False, meaning="whether forecasts are fetched from Open-Meteo (its ensembles, "
-                "with all_members), and archived in the file that the parameter forecast names",
+            "fetch", False, meaning="whether forecasts are fetched from Open-Meteo, and kept in "
+                "the file that forecast names",
         ),
-        Parameter("fetch_url", "", meaning="address of an Open-Meteo-compatible server; if empty, "
-            "Open-Meteo's own server is used"),
+        Parameter("fetch_url", "", meaning="address of another server like Open-Meteo's"),
         Parameter(
             "issue_limit", 7200.0, "s", 1.0, 1e6,
-                "maximum age of the latest forecast in the file, counted from its time of issue",
+                "maximum age of the latest forecast since its time of issue",
         ),
         Parameter(
-            "unknown_frost_may_pump", False, meaning="whether an unknown temperature is treated as "
-                "frost-free; if false, an unknown temperature keeps the pumps off",
+            "unknown_frost_may_pump", False, meaning="whether an unknown temperature counts as "
+                "frost-free, instead of keeping the pumps off",
         ),
         *live_parameters(_GAUGES),
     ]

@@ -49,15 +49,13 @@ def parameters(site: Site) -> list[Parameter]:
     return [
         site_file(),
         Parameter(
-            "initial_cistern_volume", cistern, "m3", 0, 1e9, "initial volume of water in the "
-            "cistern, at tick 0",
+            "initial_cistern_volume", cistern, "m3", 0, 1e9, "water in the cistern at tick 0",
         ),
         Parameter(
-            "initial_roof_volume", roof, "m3", 0, 1e9, "initial volume of water on the roof, at "
-            "tick 0",
+            "initial_roof_volume", roof, "m3", 0, 1e9, "water on the roof at tick 0",
         ),
         Parameter(
-            "start", DEFAULT_START, meaning="time of tick 0 in ISO 8601 format with UTC offset",
+            "start", DEFAULT_START, meaning="time of tick 0 (ISO 8601, with UTC offset)",
         ),
         Parameter("run_length", site.N, "ticks", 1, 2**40, "number N of the last tick"),
         Parameter(
@@ -65,8 +63,7 @@ def parameters(site: Site) -> list[Parameter]:
             "possible",
         ),
         Parameter(
-            "pump", "internal", meaning="source of /pump/flow: internal for the plant, or "
-            "external for a pump driver",
+            "pump", "internal", meaning="source of /pump/flow: the plant, or an external driver",
             among=("internal", "external"),
         ),
         *PARAMETERS.values(),

@@ -39,21 +39,18 @@ def parameters(site: Site) -> list[Parameter]:
     return [
         site_file(),
         Parameter(
-            "weather_files", [str(default_weather())], meaning="files of hourly weather records, "
-            "joined in chronological order",
+            "weather_files", [str(default_weather())], meaning="weather files, which are joined",
         ),
-        Parameter("start", DEFAULT_START, meaning="time of tick 0 in ISO 8601 format"),
+        Parameter("start", DEFAULT_START, meaning="time of tick 0 (ISO 8601, with UTC offset)"),
         Parameter("run_length", site.N, "ticks", 1, 2**40, "number N of the last tick"),
         Parameter(
             "evapotranspiration", "", meaning="method for evapotranspiration: fao56, hargreaves, "
-            "monthly, or the name of the weather file's own column; if empty, the file's own "
-            "column or, without one, the first of these methods for which the file contains the "
-            "data",
+            "monthly, or a column of the weather file; if empty, its own column or else the first "
+            "method for which it has the data",
         ),
         Parameter(
-            "gaps", REFUSE, meaning="treatment of a missing hour: refuse rejects the run; fill "
-            "assumes no rain in that hour and, for all other quantities, the mean at the same time "
-            "of day over the three days before and after",
+            "gaps", REFUSE, meaning="treatment of a missing hour: fill assumes no rain, and for "
+            "other quantities the mean at this time of day over three days before and after",
             among=GAPS,
         ),
         *CLIMATE.values(),

@@ -27,17 +27,17 @@ class SensorAndPump:
     """Imperfections of the level sensor and the pumps; by default, there are none."""
 
     roof_noise: float = entry(
-        "standard deviation of the noise of the roof's level sensor; the noise of every tick is "
-        "independent", 0.0, 1.0, unit="m", default=0.0,
+        "standard deviation of the noise of the roof's level sensor in a tick", 0.0, 1.0, unit="m",
+        default=0.0,
     )
     roof_offset: float = entry(
-        "amount by which the reading of the roof's level sensor exceeds the true level", -1.0, 1.0,
+        "excess of the roof's level sensor over the true level", -1.0, 1.0,
         unit="m", default=0.0,
     )
     noise_seed: int = entry("random seed of the noise", 0, 2**31 - 1, default=0)
     pump_min_on: float = entry(
-        "minimum time for which the pumps stay on, except during frost or quiet hours, or if the "
-        "roof is full or the cistern is empty", 0.0, 86_400.0, unit="s", default=0.0,
+        "minimum time for which the pumps stay on, except in frost or quiet hours, or if the roof "
+        "is full or the cistern empty", 0.0, 86_400.0, unit="s", default=0.0,
     )
     pump_min_off: float = entry(
         "minimum time for which the pumps stay off", 0.0, 86_400.0, unit="s", default=0.0

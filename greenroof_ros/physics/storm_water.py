@@ -56,18 +56,14 @@ class Event(NamedTuple):
         max_rain_5min_mm_h: mean rain rate of the wettest five minutes, which equals the peak of the
             reference.
         max_rain_60min_mm_h: mean rain rate of the wettest 60 minutes.
-        discharge_m3: water that reached the sewer from the first rain until the end of the dry
-            hours that follow.
+        discharge_m3: discharge from the first rain until the end of the dry hours that follow.
         wet_discharge_m3: part of the discharge that reached the sewer in wet weather.
         peak_l_s: maximum five-minute mean of the discharge in wet weather.
-        peak_mm_h: the peak ``peak_l_s`` divided by the connected area.
-        volume_reduction: relative reduction of the volume in wet weather compared with the
-            reference (1).
-        peak_reduction: relative reduction of the peak compared with the reference (1).
-        peak_delay_min: delay of the peak relative to the reference's peak; None if there was no
-            discharge in wet weather.
-        complete: whether the run covers the whole event, and a dry period as long as
-            ``event_separation`` before and after it.
+        peak_mm_h: this peak, divided by the connected area.
+        volume_reduction: reduction of the volume in wet weather, relative to the reference (1).
+        peak_reduction: reduction of the peak, relative to the reference (1).
+        peak_delay_min: delay of the peak after that of the reference; None without discharge.
+        complete: whether the run covers the whole event, and ``event_separation`` before and after.
     """
 
     start_h: float

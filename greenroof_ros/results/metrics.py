@@ -121,8 +121,7 @@ METRICS = (
     ),
     Metric(
         "stress_hours", "h", "water stress", ".2f", s.STRESSED,
-        "time during which the plants lack water: the stress coefficient K_s of FAO-56 is below "
-        "1, or the roof contains no water",
+        "time in which K_s of FAO-56 is below 1, or the roof contains no water",
     ),
     Metric(
         "evapotranspiration_ratio", "1", "evapotranspiration ratio", ".1%",
@@ -132,8 +131,7 @@ METRICS = (
     Metric(
         "roof_retention_share", "1", "retention of the roof", ".1%",
         lambda site, sums: 1 - _share(sums[s.DRAINED], sums[s.RAIN] * site.a2 + sums[s.PUMPED]),
-        "share of the rain and the irrigation on the roof that did not drain; below 0 if the roof "
-        "lost water that it held at the start",
+        "share of the rain and the irrigation on the roof that did not drain",
     ),
     Metric(
         "mains_m3", "m3", "mains water used", ".4g",
@@ -145,21 +143,20 @@ METRICS = (
     ),
     Metric(
         "demand_met_share", "1", "irrigation with rain", ".1%", _demand_met,
-        "share of the water for roof and other uses that was neither mains water nor in the "
-        "cistern at the start, if the site has a mains supply",
+        "share of the water for roof and other uses that was not mains water, nor there at first",
     ),
     Metric(
         "final_cistern_m3", "m3", "cistern at the end", ".6g", s.CISTERN,
-        "water volume in the cistern at the end of the run",
+        "water in the cistern at the end of the run",
     ),
     Metric(
         "final_roof_m3", "m3", "roof at the end", ".6g", s.ROOF,
-        "water volume on the roof at the end of the run",
+        "water on the roof at the end of the run",
     ),
     Metric(
         "final_layer_m3", "m3", "drainage layer at the end", ".6g",
         lambda site, sums: sums[s.LAYER] if site.layer_storage else math.nan,
-        "water volume in the drainage layer at the end of the run, for a field-capacity soil",
+        "water in the drainage layer at the end of the run",
     ),
     _volume("pumped", s.PUMPED, "water pumped from the cistern to the roof"),
     Metric(
@@ -171,8 +168,7 @@ METRICS = (
     _volume("drainage", s.DRAINED, "water that drained off the roof"),
     _volume(
         "discharge", s.DISCHARGE,
-        "water that reached the sewer: the outflow, and the drainage that did not flow into the "
-        "cistern",
+        "water that reached the sewer: outflow, and drainage except into the cistern",
     ),
     Metric(
         "wet_discharge_m3", "m3", "discharge in wet weather", ".4g", s.WET_DISCHARGE,
@@ -181,21 +177,18 @@ METRICS = (
     *_peaks("L/s", "peak discharge", "highest mean discharge over {} min", lambda site: 1000.0),
     *_peaks(
         "mm/h", "peak discharge per area",
-        "highest mean discharge divided by the connected area, which is the area of the roof "
-        "plus the area of the catchment times its runoff coefficient",
+        "highest mean discharge over {} min, per connected area",
         lambda site: 1000 * HOUR_S / connected_area(site),
     ),
     _volume("overflow", s.OVERFLOW, "water that left the cistern through its upper outlet"),
     Metric(
         "overflow_days", "1", "days of overflow", "d", s.OVERFLOW_DAYS,
-        "number of days, by the clock of the site, with an overflow of at least 0.1 mm over "
-        "the connected area",
+        "days with an overflow of at least 0.1 mm over the connected area",
     ),
     Metric(
         "retention_share", "1", "retention", ".1%",
         lambda site, sums: 1 - _share(sums[s.DISCHARGE], sums[s.RAIN] * connected_area(site)),
-        "share of the rain on the roof and the catchment that did not reach the sewer; below 0 if "
-        "more water reached the sewer than fell, such as mains water",
+        "share of the rain on the connected area that did not reach the sewer",
     ),
     Metric(
         "rain_m3", "m3", "rain", ".4g", lambda site, sums: sums[s.RAIN] * connected_area(site),
@@ -227,7 +220,7 @@ METRICS = (
     ),
     Metric(
         "pump_starts", "1", "pump starts", "d", s.STARTS,
-        f"number of times that the flow of the pumps rose {_RUNS}",
+        f"times that the flow of the pumps rose {_RUNS}",
     ),
     Metric(
         "busiest_hour_starts", "1", "starts in an hour", "d", s.BUSIEST_HOUR,
@@ -235,8 +228,7 @@ METRICS = (
     ),
     Metric(
         "excess_starts", "1", "too many starts", "d", s.EXCESS_STARTS,
-        "number of pump starts in excess of starts_per_hour, counted over the hour before each "
-        "start", max=0,
+        "number of pump starts in excess of starts_per_hour", max=0,
     ),
     Metric(
         "pump_hours", "h", "pump running", ".3f", s.PUMP_TICKS,
@@ -245,13 +237,12 @@ METRICS = (
     Metric(
         "hydraulic_energy_kwh", "kWh", "hydraulic energy", ".4g",
         lambda site, sums: sums[s.ENERGY_J] * (1 / _JOULES_PER_KWH),
-        "energy that the pumps add to the water: the product of density, gravitational "
-        "acceleration, flow and head, integrated over time",
+        "energy that the pumps add to the water",
     ),
     Metric(
         "electric_energy_kwh", "kWh", "electric energy", ".4g",
         lambda site, sums: sums[s.ENERGY_J] / _JOULES_PER_KWH / site.pump_efficiency,
-        "electric energy of the pumps: hydraulic energy divided by pump_efficiency",
+        "hydraulic energy divided by pump_efficiency",
     ),
 )
 

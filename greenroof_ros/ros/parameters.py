@@ -28,8 +28,7 @@ _LONG = 2**62  # beyond any number that a node uses
 def site_file() -> Parameter:
     """Return the parameter for the site file, which is the same for all nodes of a run."""
     return Parameter(
-        "site_file", str(default_site_file()), meaning="path of the site file, which contains the "
-        "parameters of Table I",
+        "site_file", str(default_site_file()), meaning="path of the site file",
     )
 
 
@@ -37,16 +36,16 @@ def look_ahead_parameters() -> list[Parameter]:
     """Return the parameters of a weather node that determine the extent of its forecasts."""
     return [
         Parameter(
-            "horizon", 0.0, "", 0.0, MAX_HORIZON, "length of the forecasts (h), in steps of "
-            "increasing duration; 0 selects forecasts of the next M ticks",
+            "horizon", 0.0, "", 0.0, MAX_HORIZON, "length of the forecasts (h), in growing "
+            "steps; 0 for forecasts of the next M ticks",
         ),
         Parameter(
             "outlet_horizon", 0.0, "", 0.0, MAX_HORIZON, "length of the forecasts for planning "
-            "the outlet valve (h), reached by appending steps; 0 if the valve is not planned",
+            "the outlet valve (h); 0 if it is not planned",
         ),
         Parameter(
-            "all_members", False, meaning="publish all members of a forecast ensemble, for a "
-            "controller that uses them (lookahead); false: publish only the first member",
+            "all_members", False, meaning="whether all members of an ensemble are published, for "
+            "lookahead, or only the first",
         ),
     ]
 

@@ -33,49 +33,45 @@ class Cistern:
 
     a1: float = entry("area of the cistern's base", *_POSITIVE, unit="m2")
     a_in: float = entry(
-        "catchment area from which rain flows into the cistern; in Table I, only the area of the "
-        "cistern's inlet", *_POSITIVE, unit="m2",
+        "catchment area; in Table I, only the area of the cistern's inlet", *_POSITIVE, unit="m2",
     )
     runoff_coefficient: float = entry(
-        "share of the rain on the catchment area a_in that reaches the cistern", 0.01, 1.0,
-        unit="1", default=1.0, usual=(0.75, 0.95),
+        "share of the rain on a_in that reaches the cistern", 0.01, 1.0, unit="1", default=1.0,
+        usual=(0.75, 0.95),
     )
     z_o: float = entry("elevation of the cistern's overflow above its base", *_POSITIVE, unit="m")
     r_o: float = entry("radius of the cistern's overflow", *_POSITIVE, unit="m")
     c_d: float = entry("discharge coefficient of overflow and low outlet", *_POSITIVE, unit="1")
     low_outlet_level: float | None = entry(
-        "elevation above the cistern's base of the low outlet, a throttled second outlet below "
-        "the overflow that empties the detention volume between storms; if omitted, the cistern "
-        "has no low outlet", 0.001, 100.0, unit="m", default=None,
+        "height of the low outlet above the cistern's base; if omitted, there is no low outlet",
+        0.001, 100.0, unit="m", default=None,
     )
     low_outlet_radius: float | None = entry(
         "radius of the low outlet", 0.001, 1.0, unit="m", default=None,
     )
     low_outlet_valve: bool = entry(
-        "true if the low outlet has a valve, which follows /outlet/command; without a valve, the "
-        "low outlet is always open", default=False,
+        "true if the low outlet has a valve; without one, it is always open", default=False,
     )
     valve_closed_in_frost: bool | None = entry(
-        "true if the valve stays closed during frost, because it could freeze while open; false "
-        "for a valve below the frost line; if omitted, true on a live site alone", default=None,
+        "true for a valve that could freeze while open, and stays closed in frost; false for a "
+        "valve below the frost line; if omitted, true on a live site alone", default=None,
     )
     valve_moves_per_hour: float | None = entry(
-        "maximum number of moves in an hour of a valve that is either open or closed; if omitted, "
-        "4 on a live site, while a simulated valve then follows every command", 2.0, 3600.0,
-        unit="1/h", default=None,
+        "maximum number of moves of the valve; if omitted, 4 on a live site, and no limit in a "
+        "simulation", 2.0, 3600.0, unit="1/h", default=None,
     )
     valve_travel_time: float | None = entry(
-        "maximum time that a live valve takes to open or to close; if omitted, 30 s", 0.1, 600.0,
+        "maximum time in which a live valve opens or closes; if omitted, 30 s", 0.1, 600.0,
         unit="s", default=None,
     )
     valve_without_power: str | None = entry(
-        "what a live valve does if its power fails: closes (by a spring or a battery), or "
-        "may_stay_open, which the site's owner accepts with this entry; if omitted, closes",
+        "what a live valve does if its power fails: closes, by a spring or a battery, or "
+        "may_stay_open, if the owner accepts this; if omitted, closes",
         choices=("closes", "may_stay_open"), default=None,
     )
     mains_level: float | None = entry(
-        "water level in the cistern below which a float valve adds mains water; if omitted, the "
-        "cistern has no mains supply", 0.01, 100.0, unit="m", default=None,
+        "level of the cistern below which a float valve adds mains water; if omitted, there is no "
+        "mains supply", 0.01, 100.0, unit="m", default=None,
     )
     mains_flow: float | None = entry("flow of mains water", 1e-6, 1.0, unit="m3/s", default=None)
     monthly_other_demand: tuple[float, ...] | None = entry(
@@ -86,12 +82,12 @@ class Cistern:
         unit="l/day", default=None,
     )
     drainage_to_cistern: float = entry(
-        "share of the roof's drainage that flows into the cistern; the rest flows to the sewer",
-        0.0, 1.0, unit="1", default=0.0,
+        "share of the roof's drainage that flows into the cistern, not the sewer", 0.0, 1.0,
+        unit="1", default=0.0,
     )
     wet_after: float = entry(
-        "time after rain during which the sewer still carries storm water, so that discharge "
-        "counts as discharge in wet weather [assumed]", 0.0, 48.0, unit="h", default=2.0,
+        "time after rain during which the sewer still carries storm water [assumed]", 0.0, 48.0,
+        unit="h", default=2.0,
     )
     event_separation: float = entry(
         "minimum time without rain between two rain events", 0.1, 48.0, unit="h", default=6.0,
@@ -141,39 +137,36 @@ class Roof:
     a2: float = entry("area of the rooftop vegetation", *_POSITIVE, unit="m2")
     z_veg: float = entry("desired depth of water in the substrate", *_POSITIVE, unit="m")
     x2_star: float = entry(
-        "desired volume on the roof, equal to a2 z_veg; computed if omitted", *_POSITIVE, unit="m3",
+        "desired volume on the roof; if omitted, a2 z_veg", *_POSITIVE, unit="m3",
     )
     z_soil: float = entry("depth of the soil on the roof", *_POSITIVE, unit="m")
     z_cap: float = entry(
-        "water volume that the soil holds before it drains, equal to a2 z_soil or, for a "
-        "field-capacity soil, to a2 z_soil field_capacity; computed if omitted", *_POSITIVE,
-        unit="m3",
+        "water volume that the soil holds before it drains; if omitted, a2 z_soil, times the "
+        "field_capacity if any", *_POSITIVE, unit="m3",
     )
     K: float = entry("saturated hydraulic conductivity", *_POSITIVE, unit="m/s")
     field_capacity: float | None = entry(
-        "volume of water that the substrate holds against gravity, per volume of substrate; if "
-        "omitted, the roof has no field-capacity soil, and drains according to Eq. (4)", 0.01, 0.9,
-        unit="1", default=None,
+        "water that the substrate holds against gravity, per volume of substrate; if omitted, the "
+        "roof drains according to Eq. (4)", 0.01, 0.9, unit="1", default=None,
     )
     percolation_exponent: float = entry(
-        "exponent beta of a field-capacity soil: of the arriving water, S^beta percolates, where "
-        "S is the filled share of the available water", 1.0, 10.0, unit="1", default=2.0,
+        "exponent beta: of the arriving water, S^beta percolates, where S is the filled share of "
+        "the available water", 1.0, 10.0, unit="1", default=2.0,
     )
     wilting_point: float | None = entry(
         "water that plants cannot take up, per volume of soil", 0.0, 0.5, unit="1", default=None,
     )
     depletion_fraction: float | None = entry(
-        "depletion fraction p in FAO-56 Eq. 84: the share of the water between field capacity and "
-        "wilting point that plants can take up before their evapotranspiration decreases", 0.0,
-        0.95, unit="1", default=None,
+        "p in FAO-56 Eq. 84: share of the available water that plants can take up before their "
+        "evapotranspiration decreases", 0.0, 0.95, unit="1", default=None,
     )
     drainage_storage: float | None = entry(
-        "depth of the water in the drainage layer below the substrate when the layer is full; if "
-        "omitted, the roof has no drainage layer", 0.0001, 1.0, unit="m", default=None,
+        "water in the full drainage layer below the substrate, as a depth; if omitted, there is no "
+        "such layer", 0.0001, 1.0, unit="m", default=None,
     )
     drainage_time: float | None = entry(
-        "time constant of the drainage layer: the storage of the full layer divided by its outflow",
-        1.0, 1e6, unit="s", default=None,
+        "time constant of the drainage layer: storage divided by outflow", 1.0, 1e6, unit="s",
+        default=None,
     )
 
     @cached_property
@@ -219,8 +212,8 @@ class Pump:
     """The pumps and the pipe to the roof."""
 
     irrigation: str | None = entry(
-        "none for a roof that is not irrigated, whose site needs no parameters of pumps; if "
-        "omitted, the pumps irrigate the roof", choices=("none",), default=None,
+        "none for a roof that is not irrigated, whose site needs no parameters of pumps",
+        choices=("none",), default=None,
     )
     a_hat: float = entry(
         "quadratic coefficient of the pump curve in Eq. (3b); negative", *_NEGATIVE, unit="s2/m5",
@@ -238,12 +231,12 @@ class Pump:
         "ratio of hydraulic to electric power of pump and motor", 0.001, 1.0, unit="1", default=0.5,
     )
     starts_per_hour: float = entry(
-        "maximum number of pump starts per hour, which lookahead and a live site's pump node keep; "
-        "more cause a warning in a simulation", 1.0, 3600.0, unit="1/h", default=20.0,
+        "maximum number of pump starts; more cause a warning in a simulation", 1.0, 3600.0,
+        unit="1/h", default=20.0,
     )
     max_dose: float | None = entry(
-        "maximum volume of a dose that a person may request; if omitted, doses cannot be requested",
-        0.001, 1e6, unit="m3", default=None,
+        "maximum volume of a dose that a person may request; if omitted, no doses", 0.001, 1e6,
+        unit="m3", default=None,
     )
 
     @property
@@ -274,33 +267,30 @@ class Place:
         "offset of local standard time from UTC", -12.0, 14.0, unit="h", default=None,
     )
     time_zone: str | None = entry(
-        "IANA name of the time zone of quiet_hours and of the web page, such as America/Toronto; "
-        "daylight saving time is taken into account, and the standard UTC offset of the zone must "
-        "equal utc_offset", default=None,
+        "IANA name of the site's time zone, such as America/Toronto, whose standard UTC offset "
+        "must equal utc_offset", default=None,
     )
     albedo: float = entry(
-        "albedo of the vegetation; the reference grass of FAO-56 has an albedo of 0.23", 0.0, 1.0,
-        unit="1", default=0.23,
+        "albedo of the vegetation; 0.23 for the reference grass", 0.0, 1.0, unit="1", default=0.23,
     )
     k_Rs: float = entry(
-        "coefficient in FAO-56 Eq. 50, which estimates solar radiation that was not measured: "
-        "0.16 inland, 0.19 near a large body of water", 0.1, 0.25, unit="degC^-0.5", default=0.16,
+        "coefficient in FAO-56 Eq. 50: 0.16 inland, 0.19 near a large body of water", 0.1, 0.25,
+        unit="degC^-0.5", default=0.16,
     )
     wind_height: float = entry(
-        "height above the ground at which the wind was measured, for records in this project's "
-        "format; other formats contain the wind speed at 10 m", 0.5, 100.0, unit="m", default=10.0,
+        "height at which the wind was measured, unless the weather file states it", 0.5, 100.0,
+        unit="m", default=10.0,
     )
     crop_coefficient: float = entry(
-        "ratio of the vegetation's evapotranspiration to that of the reference grass", 0.01, 3.0,
-        unit="1", default=1.0,
+        "evapotranspiration relative to the reference grass", 0.01, 3.0, unit="1", default=1.0,
     )
     monthly_evapotranspiration: tuple[float, ...] | None = entry(
-        "mean reference evapotranspiration of each month, in a list from January to December; used "
-        "without a forecast or temperature", 0.0, 20.0, unit="mm/day", default=None,
+        "mean reference evapotranspiration of the twelve months, used without a forecast or "
+        "temperature", 0.0, 20.0, unit="mm/day", default=None,
     )
     quiet_hours: tuple[str, ...] | None = entry(
-        "intervals of the day during which the pump is off, in the local time of time_zone, such "
-        'as ["22:00-06:00", "12:00-13:30"]; if omitted, the pump may run at any time', default=None,
+        "times of the day at which the pump is off, on the clock of time_zone, such as "
+        '["22:00-06:00", "12:00-13:30"]', default=None,
     )
 
     @cached_property
@@ -335,16 +325,16 @@ class Site(Place, Pump, Roof, Cistern):
     M: int = entry("length of the controller's look-ahead", 1, 1000, unit="ticks")
     N: int = entry("length of a run", 1, 2**40, unit="ticks")
     initial_cistern: float | None = entry(
-        "water volume in the cistern at the start of a run; if omitted, the volume of the state "
-        "low-low in Table II", *_NOT_NEGATIVE, unit="m3", default=None,
+        "water volume at the start of a run; if omitted, that of low-low in Table II",
+        *_NOT_NEGATIVE, unit="m3", default=None,
     )
     initial_roof: float | None = entry(
-        "water volume on the roof at the start of a run; if omitted, the volume of the state "
-        "low-low in Table II", *_NOT_NEGATIVE, unit="m3", default=None,
+        "water volume at the start of a run; if omitted, that of low-low in Table II",
+        *_NOT_NEGATIVE, unit="m3", default=None,
     )
     initial_layer: float = entry(
-        "water volume in the drainage layer at the start of a run, the same for all initial states",
-        *_NOT_NEGATIVE, unit="m3", default=0.0,
+        "water volume in the drainage layer at the start of a run", *_NOT_NEGATIVE, unit="m3",
+        default=0.0,
     )
     contact: str | None = entry("whom to call, and where the main switch is", default=None)
 

@@ -58,14 +58,14 @@ class Description:
     header: tuple[str, ...] = entry("first cells of the header, by which the file of a service is "
                                     "recognised", default=())
     columns: dict[str, tuple[str, ...]] = entry(
-        "column of each quantity, and of the time, which may be in several columns; by name, or by "
-        "number from 0", factory=dict)
+        "column of each quantity, and one or several of the time, by name or number from 0",
+        factory=dict)
     units: dict[str, str] = entry("unit of each quantity, unless the header states it in brackets",
                                   factory=dict)
-    time_format: str = entry("form of the times, as in strptime; by default, ISO 8601", default="")
+    time_format: str = entry("form of the times, as in strptime", default="")
     time_zone: str = entry(
-        f"time zone of times without an offset, such as Europe/Berlin, or {STANDARD} for the "
-        "site's utc_offset; by default, the site's time zone", default="")
+        "time zone of times without an offset, by default the site's, such as Europe/Berlin, or "
+        f"{STANDARD} for the site's utc_offset", default="")
     utc_offset: float | None = entry("offset of the times from UTC, in place of time_zone",
                                      -12.0, 14.0, unit="h", default=None)
     rows: str = entry("whether the time of a row is the start or the end of its interval",
@@ -80,12 +80,12 @@ class Description:
     encoding: str = entry("encoding of the text, such as cp1252", default="utf-8")
     sep: str = entry("separator between cells", choices=(*SEPARATORS,), default=",")
     decimal: str = entry("decimal mark", choices=(".", ","), default=".")
-    skiprows: tuple[int, ...] = entry("numbers of the lines to skip, from 0; a number n alone "
-                                      "means the first n lines", 0, 10_000, default=())
+    skiprows: tuple[int, ...] = entry("numbers of the lines to skip, from 0, or how many at "
+                                      "the start", 0, 10_000, default=())
     skipfooter: int = entry("number of lines to skip at the end", 0, 1000, default=0)
-    latitude: float | None = entry("latitude of the measurements, positive to the north", -90.0,
+    latitude: float | None = entry("latitude, positive to the north", -90.0,
                                    90.0, unit="degrees", default=None)
-    longitude: float | None = entry("longitude of the measurements, positive to the east", -180.0,
+    longitude: float | None = entry("longitude, positive to the east", -180.0,
                                     180.0, unit="degrees", default=None)
     wind_height: float | None = entry("height at which the wind was measured", 0.5, 100.0,
                                       unit="m", default=None)

@@ -133,7 +133,7 @@ CLOCK: dict[str, object] = {
         (PAPERS, {CLIMATE: 3.0}, CLIMATE, "a list (mean reference evapotranspiration"),
         (PAPERS, {"elevation": ""}, "elevation", "must have a value"),
         (CLOCK, {"time_zone": None}, "quiet_hours", "needs time_zone as well"),
-        (CLOCK, {"quiet_hours": "22:00-06:00"}, "quiet_hours", "a list (intervals of the day dur"),
+        (CLOCK, {"quiet_hours": "22:00-06:00"}, "quiet_hours", "a list (times of the day at"),
         *((CLOCK, {"quiet_hours": f'["{hours}"]'}, "quiet_hours", "a list of intervals")
           for hours in ("22", "24:00-06:00", "06:00-06:00")),
         (CLOCK, {"quiet_hours": '["00:00-12:00", "12:00-24:00"]'}, "quiet_hours",

@@ -32,10 +32,10 @@ class DeviceFile:
     """What every file describes."""
 
     make: str = entry("name of the manufacturer")
-    model: str = entry("model, with its firmware, or the option or adapter that provides Modbus")
+    model: str = entry("model, with firmware or the adapter for Modbus")
     unverified: tuple[str, ...] = entry(
-        "keys of this file that were not verified, and could let a pump run when it must be off")
-    set_up: tuple[str, ...] = entry("other settings that must be made manually on the device")
+        "keys that were not verified, and could let a pump run when it must be off")
+    set_up: tuple[str, ...] = entry("other settings that a person must make on the device")
     path: Path = Path()
 
     def __str__(self) -> str:
@@ -46,15 +46,15 @@ class DeviceFile:
 class Register:
     """A holding register, or two or four registers that form one value: scale x raw."""
 
-    address: int = entry("address of the register on the wire, counted from 0", 0, 65535)
-    manual: int = entry("number of the register in the manual: address + numbering", 0)
+    address: int = entry("address on the wire, counted from 0", 0, 65535)
+    manual: int = entry("number in the manual: address + numbering", 0)
     type: str = entry("encoding of the value", choices=("uint16", "int16", "uint32", "int32"))
     meaning: str = entry("meaning of the value, for messages")
     word_order: str = entry(
         "word order of a value of more than one register", choices=WORD_ORDERS, default="")
     scale: float = entry("factor: value = scale x raw", 1e-9, 1e9, default=1.0)
     full_scale: str = entry(
-        "name of a register, such as a rated speed, that divides the scaled value", default="")
+        "name of a register that divides the scaled value", default="")
     low: float = entry("minimum plausible value", default=-math.inf)
     high: float = entry("maximum plausible value", default=math.inf)
     missing: int | None = entry("raw value of a flow that is not available", default=None)
@@ -69,8 +69,8 @@ class Register:
 class RegisterCondition:
     """A condition that is true if register & mask == value."""
 
-    mask: int = entry("mask of the bits that are compared", 1, 0xFFFFFFFF)
-    value: int = entry("value that the bits in the mask must have", 0, 0xFFFFFFFF)
+    mask: int = entry("mask of the compared bits", 1, 0xFFFFFFFF)
+    value: int = entry("value that these bits must have", 0, 0xFFFFFFFF)
     register: str = entry("name of the register", default="status")
 
     def fulfilled_by(self, raw: int) -> bool:
@@ -85,8 +85,8 @@ class Step:
     write: str = entry("name of the register to write")
     value: int = entry("word to write", 0, 0xFFFF)
     until: RegisterCondition | None = entry(
-        "condition that must be true before the next step", default=None)
-    within_s: float = entry("maximum time to wait for the condition (s)", 0.05, 60, default=1.0)
+        "condition for the next step", default=None)
+    within_s: float = entry("maximum time to wait for it (s)", 0.05, 60, default=1.0)
 
 
 @dataclass(frozen=True)
@@ -94,11 +94,11 @@ class Sequences:
     """The sequences of register writes that bring the drive from one state to another."""
 
     ready: tuple[Step, ...] = entry(
-        "steps before every start, from any state but a fault, to one in which `run` works")
+        "steps before every start, from any state but a fault")
     run: tuple[Step, ...] = entry(
-        "steps that start the pump, after the speed was written to `reference`; repeated")
+        "steps that start the pump, after the speed was written; repeated")
     stop: tuple[Step, ...] = entry(
-        "steps that ramp the pump down and switch it off, before a speed of 0 is written; repeated")
+        "steps that ramp the pump down and switch it off; repeated")
     reset: tuple[Step, ...] = entry("steps that acknowledge a fault and leave the drive off")
 
 
@@ -120,7 +120,7 @@ class Codes:
     register: str = entry("name of the register")
     kind: str = entry("encoding: a single code, or one bit per fault", choices=("code", "bits"))
     texts: dict[int, str] = entry(
-        "texts of the codes, or of the bits (bit 0 is the least significant)", 0, 0xFFFFFFFF)
+        "texts of the codes, or of the bits", 0, 0xFFFFFFFF)
 
     def reported(self, raw: int) -> set[int]:
         """Return the codes or bits that a raw value reports; 0 reports none."""
@@ -143,26 +143,26 @@ class Action:
 
     register: str = entry("name of the register")
     stops: dict[int, str] = entry(
-        "the values, with names, for a stop that lasts until a reset; any other means off", 0)
+        "values, with names, for a stop that lasts until a reset; any other means off", 0)
 
 
 @dataclass(frozen=True)
 class Timeout:
     """The communication timeout of one of the drive's interfaces."""
 
-    register: str = entry("name of the register that holds the timeout period (s); 0 means off")
-    how_to_set: str = entry("instructions for setting the timeout manually, and what to beware of")
-    action: Action | None = entry("setting that selects what the expiry leads to", default=None)
+    register: str = entry("name of the register of the timeout (s; 0 is off)")
+    how_to_set: str = entry("how a person sets the timeout, and what to beware of")
+    action: Action | None = entry("setting of what the expiry leads to", default=None)
     mode: Action | None = entry(
-        "setting that selects which messages restart the timeout", default=None)
+        "setting of which messages restart it", default=None)
     trips: tuple[int, ...] = entry(
-        "codes (or bits) of `faults` that report the expiry of the timeout", 0, default=())
+        "codes or bits of `faults` that report its expiry", 0, default=())
     unguarded_after_power_up_s: float = entry(
-        "time after power-up during which the timeout is not effective; the pump is kept off for "
-        "this time after every connection", 0, 600, unit="s", default=0.0)
+        "time after power-up in which the timeout is not effective, and the pump is kept off",
+        0, 600, unit="s", default=0.0)
     local_settings_decide: bool = entry(
-        "whether the reaction depends on drive settings that cannot be read, so that the operator "
-        "must confirm it (`local_settings_stop_the_pump`)", default=False)
+        "whether the reaction depends on settings that cannot be read, but only be confirmed "
+        "(`local_settings_stop_the_pump`)", default=False)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -172,13 +172,13 @@ class DriveFile(DeviceFile):
     numbering: int = entry("number of a register in the manual minus its address", 0, 465536)
     serial: Serial = entry("factory settings of Modbus RTU, and the device id for any interface")
     registers: dict[str, Register] = entry(
-        "registers by name; `control`, `reference`, `status` and `speed` (shares of the rated "
-        "speed) are required, and `flow` (m3/s) is used")
+        "registers by name: `control`, `reference`, `status`, `speed` (share of the rated speed), "
+        "perhaps `flow` (m3/s), and others")
     sequences: Sequences = entry("register writes that start, stop and reset the drive")
     status: StatusWord = entry("conditions that show the drive's state")
     faults: Codes = entry("register and texts of the faults")
     timeout: dict[str, Timeout] = entry(
-        "the drive's own communication timeouts of its port `serial` and its Ethernet port `tcp`")
+        "communication timeouts of the port `serial` and the Ethernet port `tcp`")
     min_speed: float = entry("minimum share of the rated speed at which the pump may run", 0, 1)
 
 
@@ -219,7 +219,7 @@ class Timer(Question):
 
     scale: float = entry("factor: seconds = scale x value", 1e-6, 1e6, default=1.0)
     high: float = entry("maximum value to which the scale applies", 0, 1e6)
-    how_to_set: str = entry("instructions for setting the timer manually, and what to beware of")
+    how_to_set: str = entry("how a person sets the timer, and what to beware of")
 
     # Drives on Modbus may have these, but no relay does.
     unguarded_after_power_up_s = 0.0
@@ -230,12 +230,12 @@ class Timer(Question):
 class RelayFile(DeviceFile):
     """The description of a make of relay."""
 
-    protocol: str = entry("always mqtt; only relay files have this key", choices=("mqtt",))
+    protocol: str = entry("marks the file of a relay", choices=("mqtt",))
     state: RelayState = entry("whether the relay is on")
     timer: Timer = entry("the time after which the relay switches itself off")
-    must: tuple[Setting, ...] = entry("settings that must have certain values")
-    switch_on: RelayMessage = entry("message that switches the relay on, repeated to keep it on")
-    switch_off: RelayMessage = entry("message that switches the relay off, repeated to keep it off")
+    must: tuple[Setting, ...] = entry("settings with required values")
+    switch_on: RelayMessage = entry("message that switches the relay on, repeated")
+    switch_off: RelayMessage = entry("message that switches the relay off, repeated")
 
     # A relay is on or off, with no speed in between.
     min_speed = 1.0

@@ -57,16 +57,14 @@ CHOICE = (
     Parameter(
         "address", "", meaning="address of the drive: tcp://HOST:PORT for its own Ethernet port, "
         "gateway://HOST:PORT for a gateway to its serial port, or a serial line such as "
-        "/dev/ttyUSB0, and the device id after a comma, if it differs from that in the drive file: "
-        "gateway://HOST:PORT,17. For a relay: mqtt://HOST[:PORT]/DEVICE, where DEVICE is its topic "
-        "at the broker; mqtts:// for TLS",
+        "/dev/ttyUSB0, with the device id after a comma if it differs from the drive file's; for a "
+        "relay, mqtt://HOST[:PORT]/DEVICE with its topic, or mqtts:// for TLS",
     ),
     Parameter(
-        "broker_login", "", meaning="YAML file with the username and password for a relay's broker",
+        "broker_login", "", meaning="YAML file with username and password for a relay's broker",
     ),
     Parameter(
-        "broker_authority", "", meaning="file of trusted certificates (PEM) for a relay's broker, "
-        "if the system does not trust its certificate",
+        "broker_authority", "", meaning="file of trusted certificates (PEM) for a relay's broker",
     ),
 )
 

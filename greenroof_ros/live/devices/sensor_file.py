@@ -51,18 +51,18 @@ class Sensor:
         "factor: value = scale x raw + offset, in the unit of the quantity", -1e3, 1e3
     )
     low: float = entry(
-        "minimum accepted value, in the unit of the quantity; a minimum below 0 allows for noise "
-        "around zero: negative values are then treated as 0, except for temperatures", -100, 100,
+        "minimum accepted value; below 0 it allows for noise, and negative values then count as 0, "
+        "except for temperatures", -100, 100,
     )
-    high: float = entry("maximum accepted value, in the unit of the quantity", -100, 100)
+    high: float = entry("maximum accepted value", -100, 100)
     offset: float = entry(
-        "value at a raw reading of 0, in the unit of the quantity", -1e3, 1e3, default=0.0)
+        "value at a raw reading of 0", -1e3, 1e3, default=0.0)
     median: int = entry(
         "number of readings in the median filter; 1 for no filter", 1, 99, default=5
     )
     counts: bool = entry(
-        "if true, scale x raw is a running total (m or m3), and the value is its increase per "
-        "second, without a filter", default=False,
+        "if true, scale x raw is a running total (m or m3), and the value its increase per second",
+        default=False,
     )
 
 
@@ -75,14 +75,14 @@ class ModbusSensor(Sensor):
     )
     device_id: int = entry("unit identifier or slave address of the sensor", 0, 255)
     register: int = entry(
-        "address of the register on the wire, counted from 0", 0, 65535
+        "address on the wire, counted from 0", 0, 65535
     )
     kind: str = entry(
         "register type: input (function 4) or holding (function 3)", choices=("input", "holding")
     )
     type: str = entry("encoding of the value", choices=tuple(WIDTHS))
     word_order: str = entry(
-        "word order of a value that occupies more than one register",
+        "word order of a value of more than one register",
         choices=WORD_ORDERS, default="",
     )
     missing: int | None = entry("raw value that means 'no reading'", default=None)
@@ -91,7 +91,7 @@ class ModbusSensor(Sensor):
         3600, default=1.0,
     )
     baud_rate: int = entry(
-        "baud rate of the serial line (bits per second)", 1200, 1_000_000, default=19200
+        "baud rate of the serial line", 1200, 1_000_000, default=19200
     )
     parity: str = entry(
         "parity of the serial line", choices=("even", "odd", "none"), default="even"
@@ -118,20 +118,19 @@ class MqttSensor(Sensor):
 
     address: str = entry("broker and topic: mqtt://HOST[:PORT]/TOPIC, or mqtts:// for TLS")
     value: str = entry(
-        "path of the number in a JSON message, such as ANALOG.Range1 or sensors[0].distance; "
-        "omit it if the message itself is the number", default="",
+        "path of the number in a JSON message, such as ANALOG.Range1 or sensors[0].distance",
+        default="",
     )
     max_age: float = entry(
-        "maximum silence of the sensor (s); at most the maximum age of the quantity",
+        "maximum silence of the sensor (s)",
         0.1, 3600,
     )
     login: str = entry(
-        "path of a file with the username and password; the file must not be readable "
-        "by other users (chmod 600)",
+        "file with username and password, which others must not be able to read (chmod 600)",
         default="",
     )
     authority: str = entry(
-        "path of a file of trusted certificates (PEM); by default, the system's certificates",
+        "file of trusted certificates (PEM) in place of the system's",
         default="",
     )
 
@@ -155,7 +154,7 @@ class Sensors:
 
     cistern: ModbusSensor | MqttSensor = entry("level sensor of the cistern (m)")
     roof: ModbusSensor | MqttSensor | None = entry(
-        "level sensor of the roof (m), which a site without a pump does not need", default=None
+        "level sensor of the roof (m), needed for a pump", default=None
     )
     flow_meter: ModbusSensor | MqttSensor | None = entry(
         "flow meter of the pump (m3/s)", default=None
@@ -167,10 +166,10 @@ class Sensors:
         "thermometer for the air temperature (degC)", default=None
     )
     open_switch: ModbusSensor | MqttSensor | None = entry(
-        "end switch that is 1 while the outlet valve is fully open, and otherwise 0", default=None
+        "1 while the outlet valve is fully open, otherwise 0", default=None
     )
     closed_switch: ModbusSensor | MqttSensor | None = entry(
-        "end switch that is 1 while the outlet valve is closed, and otherwise 0", default=None
+        "1 while the outlet valve is closed, otherwise 0", default=None
     )
 
     @property

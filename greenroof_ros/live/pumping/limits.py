@@ -72,15 +72,14 @@ class PumpSettings:
     min_speed: float
     """minimum speed, as a share of the rated speed; the drive file specifies it"""
     min_flow: float = entry(
-        "minimum flow for continuous operation, as a share of the maximum flow; a smaller flow "
-        "is delivered in pulses",
+        "minimum flow without pulses, as a share of the maximum flow",
         0.01, 1.0, unit="1", default=_MIN_FLOW,
     )
     min_on: float = entry("minimum time on after a start", 0.0, 3600.0, unit="s", default=10.0)
     min_off: float = entry("minimum time off after a stop", 0.0, 3600.0, unit="s", default=10.0)
     max_run: float = entry(
-        "maximum time on without a break of the same length; by default, the time in which a fifth "
-        "of the maximum flow fills an empty roof",
+        "maximum time on without as long a break; by default, the time in which a fifth of the "
+        "maximum flow fills an empty roof",
         1.0, DAY_S, unit="s",
     )
     max_volume_per_day: float = entry(
@@ -89,18 +88,17 @@ class PumpSettings:
         1e-6, 1e9, unit="m3",
     )
     follow_time: float = entry(
-        "maximum time for which the speed may come no nearer to the requested speed before a fault "
-        "is latched",
+        "maximum time in which the speed comes no nearer to the requested speed",
         0.1, 600.0, unit="s", default=12.0,
     )
     level_tolerance: float = entry(
-        "maximum unexplained change of a mean level that the delivery check tolerates; must exceed "
-        "the sensor's resolution",
+        "maximum unexplained change of a mean level in the delivery check; must exceed the "
+        "sensor's resolution",
         1e-4, 1.0, unit="m", default=0.006,
     )
     level_offset: float = entry(
-        "maximum systematic error of a level sensor, in either direction; also the height above "
-        "the suction level at which the dry-run protection stops the pump",
+        "maximum systematic error of a level sensor; also the height above the suction level at "
+        "which the pump stops",
         0.0, 1.0, unit="m", default=0.02,
     )
 

@@ -72,16 +72,16 @@ class ValveSettings:
         "whether the valve may be open in wet weather, as with the policy open", default=False
     )
     max_run: float = entry(
-        "maximum time open without a break of the same length; by default, 1.5 times the time in "
-        "which the outlet empties a full cistern", 1.0, DAY_S, unit="s",
+        "maximum time open without as long a break; by default, 1.5 times the time in which the "
+        "outlet empties a full cistern", 1.0, DAY_S, unit="s",
     )
     max_volume_per_day: float = entry(
         "maximum volume released in any 24 h; by default, twice the volume above the low outlet",
         1e-6, 1e9, unit="m3",
     )
     leak_tolerance: float = entry(
-        "unexplained fall of the cistern's level, in excess of 1 mm/h, that is tolerated while the "
-        "valve is closed", 1e-3, 1.0, unit="m", default=0.02,
+        "tolerated unexplained fall of the cistern's level, beyond 1 mm/h, with the valve closed",
+        1e-3, 1.0, unit="m", default=0.02,
     )
 
 
