@@ -2,8 +2,8 @@
 
 No run has a smaller total deviation than the optimum of :func:`clairvoyant_bound`, and
 ``tools/plan_of_a_run.py`` shows how close a plan comes to it. :func:`bound_discharge` yields the
-minimum discharge in wet weather for some volumes of mains water. The proofs are in
-doc/explanation/bound.md.
+minimum discharge in wet weather for some volumes of mains water. doc/explanation/bound.md shows how
+tight they are.
 """
 
 from __future__ import annotations
@@ -101,7 +101,7 @@ def clairvoyant_bound(run: Run, block_s: float, max_command: float = 1.0) -> flo
       volume of all water that the cistern has ever held.
 
     On a field-capacity soil, the limits apply to the volume after a tick minus a slope times the
-    volume before it. The drainage layer does not matter. The proof is in doc/explanation/bound.md.
+    volume before it, and all pumped water is assumed to stay. The drainage layer does not matter.
 
     The program neglects four facts, so there can be a gap between the bound and the best run. The
     cistern can overflow, and the pump flow falls with the cistern's level. Pumping stops at z_veg,
@@ -278,8 +278,10 @@ def _ends(
 
     On a field-capacity soil, the volume after a tick is a continuous function of the volume before
     the tick. The function is concave between the wilting point, the onset of stress and field
-    capacity. Subtracting a line changes neither property. The minimum is therefore at an end of one
-    of these pieces, and the maximum is at an end or where the slope is 0.
+    capacity, and linear elsewhere: percolation leads from a filled share S0 to S1 with the slope
+    (1 - S1^beta) / (1 - S0^beta), which falls as S0 rises if beta is at least 1. Subtracting a line
+    changes neither property. The minimum is therefore at an end of one of these pieces, and the
+    maximum is at an end or where the slope is 0.
 
     Args:
         p: numbers of the site.
@@ -417,10 +419,13 @@ def bound_discharge(
 
         v' = v + inflow + mains - pumped - released - overflow - other uses.
 
-    - v' is at most the full volume, or the volume with a closed valve if this is larger. v' is at
-      least the volume that the pumps leave.
+    - v' is at most the full volume, or the volume with a closed valve if this is larger: of two
+      cisterns with the same inflow and pumping, the fuller one never becomes the emptier one.
+    - v' is at least the volume that the pumps leave, because a tick with pumping begins at the
+      suction level or above, and the low outlet is above this level.
     - The water released is at most the volume that the open valve drains from the highest level in
-      the step.
+      the step. Mains water does not raise this level, since it flows in only far below the full
+      volume.
     - The overflow is at most the inflow plus the volume above the upper outlet at the beginning.
     - The mains water is at most the volume that the mains can supply.
     - Other uses draw at most what they need, and take the rest from the mains.

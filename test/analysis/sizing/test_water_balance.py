@@ -1,6 +1,6 @@
 """Sizes compared with a rainwater tank's balance in daily and monthly steps, in pandas.
 
-``doc/explanation/sizing.md`` explains the differences, with a table of eleven whole seasons.
+``doc/explanation/sizing.md`` explains the differences.
 """
 
 from __future__ import annotations
