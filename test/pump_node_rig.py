@@ -106,12 +106,6 @@ class PumpRig:
     def publish(self, name: str, value: float) -> None:
         self._publishers[name].publish(Float64(data=float(value)))
 
-    def send_malformed(self, name: str, *messages: bytes) -> None:
-        """Publish bytes that are no message of a topic; the node takes only the newest of many."""
-        for message in messages:
-            self._publishers[name].publish(message)
-            time.sleep(0.1)
-
     def tick(self, command: float) -> float:
         """Publish the inputs of a tick, and return the newest flow at its end."""
         began, before, self._command = time.monotonic(), len(self.flows), command

@@ -5,15 +5,14 @@ from __future__ import annotations
 import getpass
 import shutil
 import subprocess
-import threading
 import time
-from contextlib import closing, suppress
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
-from brokers import Talker, mosquitto, needs_mosquitto
+from brokers import mosquitto, needs_mosquitto
 from modbus_wire import Answer, SerialWire, Wire, crc
 from simulators import until
 
@@ -138,35 +137,6 @@ def test_a_sensor_next_to_a_silent_or_wrong_one_on_a_serial_line() -> None:
             assert problem in first.snapshot.problem
 
 
-@pytest.mark.parametrize("late_s", [0.3, 0.6])
-def test_a_late_answer_is_no_value_of_the_next_register(late_s: float) -> None:
-    """Two channels of one device, at 1.0 m and 3.0 m, behind a gateway.
-
-    It gives a late answer the number of the request that it received last.
-    """
-    data, wait_s, newest = {16: "2710", 17: "7530"}, 0.0, b""
-
-    def reply(request: bytes) -> Answer:
-        nonlocal newest
-        newest = request
-
-        def send() -> None:
-            ((_, late),) = answer(request, data[request[9]]) or []
-            with suppress(OSError, IndexError):
-                wire.open[-1].sendall(newest[:4] + late[4:])
-
-        threading.Timer(wait_s, send).start()
-        return []
-
-    with closing(Wire(reply)) as wire:
-        channels = readers(wire.gateway, {"register": 16}, {"register": 17})
-        for wait_s in (0.0, late_s, late_s):
-            for reader in channels:
-                reader.read()
-            values = [reader.snapshot.value for reader in channels]
-            assert values == ([None, None] if wait_s else [1.0, 3.0])
-
-
 # --- MQTT -----------------------------------------------------------------------------------------
 
 
@@ -251,28 +221,6 @@ def test_at_the_start_a_sensor_is_lost_only_after_its_maximum_age(
     silent.now += 0.2
     assert result(silent.reader) == "has sent nothing for 60 s"
     assert silent.tell("1") == MAY_BE_OLD
-
-
-@needs_mosquitto
-def test_a_broker_that_comes_or_is_killed_or_stops_answering_is_used(tmp_path: Path) -> None:
-    """A broker that hangs is reported within 15 s. A live message counts with any retain flag."""
-    with mosquitto(tmp_path) as broker, closing(MqttReader(
-        "roof", sensor_at(f"{broker.address}/{TOPIC}", max_age=1.0)
-    )) as reader:
-
-        def lost(code: str) -> bool:
-            return reader.snapshot.code == code and reader.snapshot.value is None
-
-        broker.kill()
-        reader.start()
-        for message in ("1", "2"):
-            until(lambda: lost("broker_lost"), 20)
-            broker.start() if message == "1" else broker.resume()
-            until(lambda: lost("sensor_lost"), 20)
-            with Talker(broker) as talker:
-                until(lambda message=message: talker.publish(TOPIC, message, retain=True)  # type: ignore[misc]
-                      or reader.snapshot.value == float(message), 20)
-            broker.pause()
 
 
 @needs_mosquitto
