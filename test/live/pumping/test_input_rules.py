@@ -97,22 +97,6 @@ def test_courses_of_an_input(name: str) -> None:
         assert rule(problem) == broken, now
 
 
-def test_frozen() -> None:
-    """Frozen: the pump must have lowered it by more than 1 cm, but it has not changed at all."""
-    level = LevelRule(TANK, 0.01, 0.02)
-    rules = InputRules(0.0, limit=5.0, recovery=0.0, level=level)
-    for second, value, moves, broken in (
-        *((second, 1.5, 0.002, "") for second in range(5)),
-        (5, 1.5, 0.0001, ""),  # 1 cm is not more than 1 cm
-        (6, 1.5, -1.0, "frozen"),
-        (7, 1.5, 0.0, "frozen"),  # the pump now stands, and so does the level
-        (8, 1.4999, 0.0, ""),
-    ):
-        rules.receive(second, value)
-        assert rule(rules.check(second)) == broken, second
-        level.expect(moves)
-
-
 Rate: TypeAlias = Callable[[float], float]
 
 
