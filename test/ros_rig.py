@@ -214,7 +214,7 @@ class Site:
     def __init__(self, watcher: Observer) -> None:
         """Publish nothing yet."""
         self.watcher, self.cwd = watcher, watcher.cwd
-        self.node, self.shows, self.call = watcher.node, watcher.shows, watcher.call
+        self.node, self.shows = watcher.node, watcher.shows
         self.messages, self.diagnoses = watcher.messages, watcher.diagnoses
         self.values: dict[str, Any] = {}
         self.publishers: dict[str, Any] = {}
@@ -251,7 +251,7 @@ class Site:
         self._next = time.monotonic() + 0.1
         for topic, value in self.values.items():
             if topic not in self.publishers:
-                self.publishers[topic] = self.watcher.publisher(topic)
+                self.publishers[topic] = self.watcher.publisher(topic, self.node)
             data = value(time.monotonic()) if callable(value) else value
             self.publishers[topic].publish(message_class(_TOPICS[topic].type)(data=data))
 
@@ -264,6 +264,14 @@ class Site:
 
         messages = {name: status.message for name, status in self.diagnoses.items()}
         self.watcher.until(played, seconds, f"{event} (before: {messages})")
+
+    def call(self, kind: Any, service: str, **fields: object) -> Any:
+        """Call a service as soon as it is available, and go on publishing."""
+        client = self.watcher.node.create_client(kind, service)
+        self.until(client.service_is_ready, LATE, service)
+        future = client.call_async(kind.Request(**fields))
+        self.until(future.done, LATE, f"an answer of {service}")
+        return future.result()
 
     def during(self, seconds: float) -> None:
         """Publish values for this long (s); a pause of the machine counts for at most 0.1 s."""

@@ -14,41 +14,10 @@ from places import CHECKOUT
 from greenroof_ros.base.processes import (
     LockedError,
     acquire_name_lock,
-    child_environment,
     scratch_directory,
 )
 
 TOO_LONG_S = 60
-
-# A command of this package that prints whether its own children are asked to end with it.
-_CHILD = """
-import os
-from greenroof_ros.base.command_line import command
-@command
-def main():
-    print("GREENROOF_ROS_PARENT" in os.environ)
-main()
-"""
-
-
-@pytest.mark.parametrize(("parent", "code", "printed"), [
-    (None, 0, "False\n"), ("1", -signal.SIGTERM, ""),
-])
-def test_a_child_whose_parent_died_while_it_started_ends(
-    parent: str | None, code: int, printed: str
-) -> None:
-    """Before it could ask the kernel: without any output. It does not pass the request on.
-
-    For parents that are killed later see test_watch_command.py and test_live_bringup.py.
-    """
-    environment = child_environment()
-    environment["GREENROOF_ROS_PARENT"] = parent or environment["GREENROOF_ROS_PARENT"]
-    done = subprocess.run(
-        [sys.executable, "-c", _CHILD], env=environment, stdout=subprocess.PIPE, cwd=CHECKOUT,
-        text=True, check=False,
-    )
-    assert (done.returncode, done.stdout) == (code, printed)
-
 
 # --- locks --------------------------------------------------------------------------------------
 

@@ -20,7 +20,7 @@ from rcl_interfaces.msg import ParameterValue
 from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from ros_rig import ERROR, LATE, OK, Observer, qos
+from ros_rig import ERROR, LATE, Observer, qos
 from std_msgs.msg import Float64
 from std_srvs.srv import SetBool, Trigger
 
@@ -31,13 +31,6 @@ from greenroof_ros.live.devices.exchange import DriveExchange, read_endpoint
 @pytest.fixture
 def rig(observer: Observer) -> PumpRig:
     return PumpRig(observer)
-
-
-def stays_off(rig: PumpRig, state: str) -> None:
-    """Check that a started node does not run the pump, for a reason."""
-    rig.join()
-    assert [rig.tick(0.5) for _ in range(10)] == [0.0] * 10
-    assert re.match(state, rig.state), rig.state
 
 
 @pytest.mark.parametrize(("make", "at", "seconds", "stops_locally", "words"), [
@@ -76,23 +69,20 @@ def test_it_connects_by_itself_and_runs_no_drive_without_its_own_timeout(rig: Pu
     node = rig.start(
         f"gateway://127.0.0.1:{port}", popen={"stderr": subprocess.PIPE, "text": True}
     )
-    rig.join()
-    rig.until_reported("drive", ERROR, f"127.0.0.1:{port}")
-    assert (rig.code("drive"), rig.drive_state) == ("drive_lost", "connecting")
-    drive = rig.simulate(port=port)
+    rig.command(0.5, lambda: rig.code("drive") == "drive_lost", "a lost drive")
+    assert rig.drive_state == "connecting"
+    drive = rig.simulate(port)
     rig.run()
-    assert rig.observer.diagnoses["/pump: drive"].hardware_id.startswith("ABB ACS880")
-    assert rig.drive_state == "ready"
+    rig.command(0.5, lambda: rig.drive_state == "ready", "a drive that is ready")
     drive.inject("timeout_off")
     drive.inject("dropped")
-    rig.until_code("drive", "drive_lost")
+    rig.command(0.5, lambda: rig.code("drive") == "drive_lost", "a lost drive")
     drive.inject("none")
     drive.inject("timeout_off")
-    rig.until_reported("drive timeout", ERROR, "is not effective", "58.")
-    rig.until_code("pump", "drive_timeout")
+    rig.command(0.5, lambda: rig.code("pump") == "drive_timeout", "the reason")
     assert rig.drive_state == "refused"
-    stays_off(rig, "off")
-    assert rig.drive.speed() == 0.0
+    rig.stays_off("off")
+    assert drive.speed() == 0.0
     words = "was not stopped at the end", "only a person at its panel can stop it"
     ends_in_words(rig, node, "silence", *words)
 
@@ -107,58 +97,41 @@ def test_other_publishers_of_the_command_stop_it(rig: PumpRig) -> None:
         ("volatile", 10, "incompatible QoS (volatile)"),
     ):
         rig.run()
-        node = Node(other, context=rig.observer.context, start_parameter_services=False)
+        node = Node(other, context=rig.watcher.context, start_parameter_services=False)
         node.create_publisher(Float64, "/pump/command", profile)
         rig.until_at_rest()
-        rig.until_reported("command", ERROR, words)
+        rig.until(rig.shows("/pump: command", ERROR, words), LATE, words)
         node.destroy_node()
     rig.run()
-    assert rig.shows("command", OK)
 
 
 def test_a_stop_stays_over_a_restart_until_it_is_lifted(rig: PumpRig) -> None:
     """A stop that fails at the end is reported."""
     node = rig.start()
     rig.run()
-    late = rig.observer.collect("/pump/state", state_in)  # as by ros2 topic echo --once
-    rig.observer.until(lambda: late, LATE, "a state")
-    assert late == [rig.state]
-    assert rig.call(SetBool, "stop", data=True).success
+    late = rig.watcher.collect("/pump/state", state_in)  # as by ros2 topic echo --once
+    rig.watcher.until(lambda: late, LATE, "a state")
+    assert rig.call(SetBool, "/pump/stop", data=True).success
     rig.until_at_rest()
     node.terminate()
     assert node.wait(120) == 0
     node = rig.start(popen={"stderr": subprocess.PIPE, "text": True})
-    stays_off(rig, "held: a hold by the operator")
-    assert rig.call(SetBool, "stop", data=False).success
+    rig.stays_off("held: a hold by the operator")
+    assert rig.call(SetBool, "/pump/stop", data=False).success
     rig.run()
     words = "was not stopped at the end", "its own timeout (1.5 s)"
     ends_in_words(rig, node, "stuck_running", *words)
 
 
 def command(rig: PumpRig, name: str, *options: str) -> tuple[int, str]:
-    """Run a command while the graph ticks; return its exit code and its output."""
-    process = Process(rig.domain, name, *options, cwd=rig.cwd)
-    rig.tick_until(0.0, lambda: process.process.poll() is not None, LATE, name)
-    return process.wait(1), process.stdout() + process.stderr()
+    return rig.finish(Process(rig.watcher.domain, name, *options, cwd=rig.cwd))
 
 
-def test_a_hold_by_the_command(rig: PumpRig) -> None:
-    """Its times are those of the site's clock. A request that does not shorten it says so."""
-    rig.start()
-    rig.run()
-    code, output = command(rig, "hold", "--for", "1h", "--reason", "painting")
-    times = r"since (\d\d \w{3} )?\d\d:\d\d until (\d\d \w{3} )?\d\d:\d\d"
-    held = f"held: a hold by the command line {times}: painting"
-    assert code == 0 and re.fullmatch(rf"{held}(; the pump is still turning)?\n", output), output
-    stays_off(rig, held)
-    code, output = command(rig, "hold", "--for", "0.5")
-    assert (code, "the earlier hold lasts longer and was not shortened" in output) == (0, True)
-    assert command(rig, "release")[0] == 0
-    rig.run()
+def test_a_hold_by_the_command_and_what_is_none(rig: PumpRig) -> None:
+    """Its times are those of the site's clock. A request that does not shorten it says so.
 
-
-def test_what_is_no_hold_is_refused(rig: PumpRig) -> None:
-    """The pump runs on after each; nor does a parameter of an unknown type end the node."""
+    The pump runs on after each that is none; nor does a parameter of an unknown type end the node.
+    """
     rig.start()
     rig.run()
     requests: tuple[dict[str, Any], ...] = (
@@ -170,9 +143,18 @@ def test_what_is_no_hold_is_refused(rig: PumpRig) -> None:
     for service, parameters in (("hold", unknown), ("dose", unknown), *(("hold", [
         Parameter(name, value=value).to_parameter_msg() for name, value in request.items()
     ]) for request in requests)):
-        result = rig.call(SetParametersAtomically, service, parameters=parameters).result
+        result = rig.call(SetParametersAtomically, f"/pump/{service}", parameters=parameters).result
         assert not result.successful and result.reason, parameters
-        assert [rig.tick(0.5) > 0 for _ in range(3)] == [True] * 3, parameters
+        assert rig.state.startswith("running"), parameters
+    code, output = command(rig, "hold", "--for", "1h", "--reason", "painting")
+    times = r"since (\d\d \w{3} )?\d\d:\d\d until (\d\d \w{3} )?\d\d:\d\d"
+    held = f"held: a hold by the command line {times}: painting"
+    assert code == 0 and re.fullmatch(rf"{held}(; the pump is still turning)?\n", output), output
+    rig.stays_off(held)
+    code, output = command(rig, "hold", "--for", "0.5")
+    assert (code, "the earlier hold lasts longer and was not shortened" in output) == (0, True)
+    assert command(rig, "release")[0] == 0
+    rig.run()
 
 
 def test_a_broken_state_needs_a_reset_that_is_confirmed(rig: PumpRig) -> None:
@@ -180,13 +162,12 @@ def test_a_broken_state_needs_a_reset_that_is_confirmed(rig: PumpRig) -> None:
     file = rig.cwd / "pump.json"
     file.write_bytes(b"torn")
     rig.start(state_file=file)
-    assert rig.call(SetBool, "stop", data=False).success
-    assert not rig.call(Trigger, "clear").success
+    assert rig.call(SetBool, "/pump/stop", data=False).success
+    assert not rig.call(Trigger, "/pump/clear").success
     code, output = command(rig, "reset")
     assert code == 1 and "not cleared: the request was not confirmed" in output
-    stays_off(rig, "fault: .*pump.json cannot be read")
-    code, output = command(rig, "reset", "--yes")
-    assert code == 0 and "pump.json cannot be read" in output
+    rig.stays_off("fault: .*pump.json cannot be read")
+    assert command(rig, "reset", "--yes")[0] == 0
     rig.run()
 
 
@@ -200,11 +181,9 @@ def test_a_dose_by_the_command(rig: PumpRig) -> None:
     assert (code, output.splitlines()[-1]) == (0, "the dose of 50 litres was delivered")
     rig.until_at_rest(0.0)
     assert rig.pumped() - before == pytest.approx(0.05, rel=0.1)
-    code, output = command(rig, "dose", "--litres", "600")
-    assert (code, "to 500 litres" in output) == (1, True)
-    process = Process(rig.domain, "dose", "--litres", "500", cwd=rig.cwd)
-    rig.tick_until(0.0, lambda: "a dose of 500 litres" in rig.state, LATE, "a dose")
-    assert rig.call(SetBool, "stop", data=True).success
-    rig.tick_until(0.0, lambda: process.process.poll() is not None, LATE, "its end")
-    assert process.wait(1) == 1
-    assert "error: the dose ended early, after " in process.stderr()
+    assert command(rig, "dose", "--litres", "600")[0] == 1
+    process = Process(rig.watcher.domain, "dose", "--litres", "500", cwd=rig.cwd)
+    rig.command(0.0, lambda: "a dose of 500 litres" in rig.state, "a dose")
+    assert rig.call(SetBool, "/pump/stop", data=True).success
+    code, output = rig.finish(process)
+    assert (code, "error: the dose ended early, after " in output) == (1, True)

@@ -9,7 +9,7 @@ from typing import Any
 
 from graphs import Process, summary_of
 from rcl_interfaces.msg import ParameterType
-from rcl_interfaces.srv import GetParameters, SetParameters, SetParametersAtomically
+from rcl_interfaces.srv import GetParameters, SetParameters
 from rclpy.parameter import Parameter
 from ros_rig import OK, Observer, check_diagnostics, qos
 from rosgraph_msgs.msg import Clock
@@ -70,12 +70,6 @@ def test_simulated_run(domain: int, tmp_path: Path, observer: Observer) -> None:
     set_parameters = SetParameters, "/site1/mpc/set_parameters"
     refused = observer.call(*set_parameters, parameters=weights(-1.0, math.nan))
     assert not any(result.successful or "weight" not in result.reason for result in refused.results)
-    site_file = Parameter("site_file", value="x.yaml").to_parameter_msg()
-    both = observer.call(  # refused as a whole
-        SetParametersAtomically, "/site1/mpc/set_parameters_atomically",
-        parameters=[*weights(7.0), site_file],
-    )
-    assert not both.result.successful and "site_file" in both.result.reason
     accepted = observer.call(*set_parameters, parameters=weights(6.0, 7.0))
     assert all(result.successful for result in accepted.results)
     observer.node.create_publisher(Float64, "/site1/pump/command", qos("/pump/command"))

@@ -26,19 +26,17 @@ def test_middleware_that_locks_up_at_the_end(domain: int, tmp_path: Path) -> Non
 
 
 DRIVE = "--ros-args -p drive:=abb_acs880 -p address:=tcp://127.0.0.1:1"
-# What the last line has, by command; the sites and sensors are made below.
+# What the last line names, by command; the sites and sensors are made below.
 REFUSED = {
-    "nodes.controller --controller mpc --ros-args -p weight:=-1.0":
-        "weight of mpc = -1.0: must be a number greater than 0",
+    "nodes.controller --controller mpc --ros-args -p weight:=-1.0": "weight of mpc = -1.0: ",
     "nodes.plant --ros-args --params-file wrong.yaml":
-        "wrong.yaml, line 2: parameter run_lenght of plant = 4: there is no such parameter; did",
-    "nodes.recorder --ros-args -p directory:=.": ": exists, but the recorder never overwrites",
+        "wrong.yaml, line 2: parameter run_lenght of plant = 4: ",
+    "nodes.recorder --ros-args -p directory:=.": ": exists, but ",
     # A level counts for 5 s (level_limit), which must cover two readings.
-    "live.station --sensors sensors.yaml": "line 22: cistern.period = 2.6: must be at most 2.5 s",
+    "live.station --sensors sensors.yaml": "line 22: cistern.period = 2.6: ",
     "live.station --sensors sensors_mqtt.yaml --ros-args -p level_limit:=4.0":
-        "line 16: cistern.max_age = 5.0: must be at most 4 s, since older values than",
-    f"live.pump {DRIVE} -p folow_time:=9.0":
-        "folow_time of pump = '9.0': there is no such parameter; did you mean follow_time?",
+        "line 16: cistern.max_age = 5.0: ",
+    f"live.pump {DRIVE} -p folow_time:=9.0": "folow_time of pump = '9.0': ",
 }
 
 

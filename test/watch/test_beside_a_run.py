@@ -65,7 +65,7 @@ def test_a_run_under_the_eyes_of_five_is_the_same_run(
     A page that waits for it, one that is stopped, a client of Foxglove, a store, and its own page,
     which is killed. Of a run that is too fast, only reports are received.
     """
-    options, watched = ("--controller", "onoff", "--hours", "0.3"), GraphStore()
+    options, watched = ("--controller", "onoff", "--hours", "1"), GraphStore()
     page, port = watcher(domain, tmp_path)
     stopped, _ = watcher(domain, tmp_path)
     viewer = Process(domain, "watch", "--foxglove", "0", cwd=tmp_path)
@@ -81,7 +81,8 @@ def test_a_run_under_the_eyes_of_five_is_the_same_run(
         killed = wait_for(lambda: child_of(run), 60, "a watcher")
         os.kill(killed, signal.SIGKILL)
         run.until_printed("the watcher has exited, and starts again in 2 s")
-        found = asyncio.run(receive(served, 20))
+        found = asyncio.run(receive(served, 5))
+        wait_for(lambda: LEVEL in watched.newest, 60, "the level in the store")
         monkeypatch.setattr(feed, "FASTEST", 0.0)
         time.sleep(0.5)
         newest = dict(watched.newest)
