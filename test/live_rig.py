@@ -60,8 +60,7 @@ class Hardware(Simulator):
         """Fill the tanks, start the sensors, and write a forecast."""
         tanks = Process(
             self.domain, "site_simulator", "--sensors", "sensors.yaml", "--drive-at",
-            self.workbench, "--workbench", "0", "--rain", "0", "--initial", "high-low",
-            cwd=self.cwd,
+            self.workbench, "--workbench", "0", "--initial", "high-low", cwd=self.cwd,
         )
         wait_for(tanks.stdout, 60, "sensors that are ready")
         write_forecast(self.cwd / "forecast.csv", timedelta(minutes=5), 0.0, 12.0)

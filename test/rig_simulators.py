@@ -551,17 +551,16 @@ class DistantPump:
 
 
 class SiteBench(Bench, SimulatedSite):
-    """Runs cistern and roof behind their sensors, and can write a line for each tick."""
+    """Runs cistern and roof in dry weather behind their sensors; can write a line for each tick."""
 
     def __init__(
-        self, site: Site, rain, evapotranspiration, volumes, sensors, workbench: Address,
-        drive: Address | None = None, output=None,
+        self, site: Site, volumes, sensors, workbench: Address, drive: Address | None = None,
+        output=None,
     ) -> None:
         Bench.__init__(self, workbench)
         pump = drive and DistantPump(drive, lambda: self.virtual_site.levels()[0], self.log)
         SimulatedSite.__init__(
-            self, site, rain, evapotranspiration, volumes, sensors,
-            lambda: pump.speed if pump else 0.0,
+            self, site, [0.0], [0.0], volumes, sensors, lambda: pump.speed if pump else 0.0,
         )
         self._fault_since, self._frozen, self._output = 0, dict[str, float](), output
         for server in self.servers:  # each has its own sensors
@@ -672,22 +671,14 @@ def site_simulator(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--sensors", type=Path)
     parser.add_argument("--drive-at", type=parse_address)
     parser.add_argument("--workbench", type=int, default=0)
-    parser.add_argument("--rain", type=float, help="mm/h")
-    parser.add_argument("--constant-evapotranspiration", type=float, help="mm/day")
     parser.add_argument("--output", type=Path)
     add_site_arguments(parser.add_argument_group("site"))
     given = parser.parse_args()
     run = build_run(given)
-    rain, loss = run.series.precipitation, run.series.evapotranspiration
-    if given.rain is not None:
-        rain = [given.rain * 1e-3 / 3600]
-    if given.constant_evapotranspiration is not None:
-        loss = [given.constant_evapotranspiration * 1e-3 / 86400 * run.site.a2]
     sensors = read_sensors(given.sensors or default_sensors())
     with given.output.open("w") if given.output else contextlib.nullcontext() as output:
         bench = SiteBench(
-            run.site, rain, loss, (run.x1, run.x2), sensors,
-            local(given.workbench), given.drive_at, output,
+            run.site, (run.x1, run.x2), sensors, local(given.workbench), given.drive_at, output,
         )
         asyncio.run(bench.serve())
 

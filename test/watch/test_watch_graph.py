@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from typing import Any
 
+from hostile_reports import STATUSES
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from page_inputs import START, node
@@ -64,28 +65,8 @@ def test_another_run_or_site_replaces_the_one_before() -> None:
 
 # --- hostile messages -----------------------------------------------------------------------------
 
-_TEXTS = st.one_of(
-    st.text(max_size=30),
-    st.sampled_from([
-        "/pump", "/pump: drive", "ready", "ended", "starting", "", ": ", "\ud800\x00\u202e",
-        "[" * 2000, "9" * 401, "1e999", '"pump"', '"controller"', "{}", '["x"]', "null", "true",
-        '{"owner": "x", "since": 1e300, "until": -1e300}', '{"volume": 1e300, "delivered": -1e300}',
-        "1", "hold", "runs_on", "2021-07-20T05:00:30+00:00", "9999-12-31T23:59:59+00:00",
-    ]),
-)
-_STATUSES = st.builds(
-    Status, _TEXTS, st.sampled_from(range(4)), _TEXTS,
-    st.dictionaries(
-        st.sampled_from([
-            "role", "process", "hold", "fault", "dose", "min_dose", "max_dose", "flow", "tick",
-            "number", "code", "since", "ended", "about", "follows",
-        ]) | _TEXTS, _TEXTS, max_size=8,
-    ),
-)
-
-
 @settings(max_examples=60, deadline=None)
-@given(st.lists(st.tuples(st.booleans(), st.lists(_STATUSES, max_size=4)), max_size=4))
+@given(st.lists(st.tuples(st.booleans(), STATUSES), max_size=4))
 def test_nothing_that_is_reported_raises_or_switches_the_stop_off(
     messages: list[tuple[bool, list[Status]]]
 ) -> None:
