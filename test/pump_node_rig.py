@@ -67,7 +67,7 @@ class PumpRig(Site):
         settings = {
             "drive": guarding("abb_acs880", self.cwd),
             "address": address or self.drive.address,
-            "site_file": self.site(), "recovery_time": 0.3,
+            "site_file": parameters.get("site_file") or self.site(), "recovery_time": 0.3,
             "state_file": self.cwd / "state.json", **MIN_TIMES, **parameters,
         }
         self.states.clear()

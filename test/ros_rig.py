@@ -317,28 +317,3 @@ def write_forecast(
     draft = path.with_suffix(".new")
     draft.write_text("\n".join([FORECAST_HEADER, *lines, ""]))
     draft.replace(path)
-
-
-# Each time the file *suspended* or *suspended_in_a_decision* exists, the process finds that the
-# machine was suspended for an hour: between two decisions of a node, or during one. A node reads
-# the suspended time before and after each decision.
-SUSPENDED = """
-import os
-import sys
-import time
-from contextlib import suppress
-awake, slept, looks = time.clock_gettime, 0.0, 0
-def clock_gettime(clock):
-    global slept, looks
-    if clock != time.CLOCK_BOOTTIME:
-        return awake(clock)
-    decides = sys._getframe(2).f_code.co_name == "suspended_time"
-    looks += decides
-    for file, now in (("suspended", True), ("suspended_in_a_decision", decides and looks % 2 == 0)):
-        with suppress(FileNotFoundError):
-            if now:
-                os.unlink(file)
-                slept += 3600.0
-    return awake(clock) + slept
-time.clock_gettime = clock_gettime
-"""

@@ -19,7 +19,6 @@ from simulators import until as wait
 
 from greenroof_ros.live.devices.drive_file import find_drive_file
 from greenroof_ros.live.devices.exchange import DriveExchange, DriveSnapshot, read_endpoint
-from greenroof_ros.live.devices.modbus_line import DriveError
 
 pytestmark = needs_mosquitto
 
@@ -141,26 +140,6 @@ def test_one_that_nothing_would_switch_off_is_not_switched_on(
             bench.relay.inject(fault, parameter)
             wait(lambda note=note: note in str(bench.now.unguarded))  # type: ignore[misc]
         assert not switched(tap, on=True) and not bench.closed
-
-
-def test_an_on_that_waits_on_a_stalled_connection_has_an_off_behind_it(bench: Bench) -> None:
-    """Giving up the connection sends the *off*; otherwise *on* would last for the relay's timer."""
-    with Talker(bench.broker) as tap:
-        bench.connect()
-        relay = bench.at.connection()
-        relay.line.connect()
-        relay.timeout()
-        bench.exchange.close()
-        bench.broker.pause()
-        with pytest.raises(DriveError, match="no valid reply"):
-            relay.run(1.0)
-        relay.line.close()
-        resumed = time.monotonic()
-        bench.broker.resume()
-        wait(lambda: switched(tap, on=True)[-1:] > [resumed], 5)
-        on = switched(tap, on=True)[-1]
-        wait(lambda: any(on < at < on + 0.3 for at in switched(tap, on=False)), 5)
-        wait(lambda: not bench.closed, 0.5)
 
 
 def test_a_retained_message_is_no_answer(bench: Bench) -> None:

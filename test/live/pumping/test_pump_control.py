@@ -22,18 +22,14 @@ def test_states_and_minimum_times_of_a_run_by_hand() -> None:
     rig.run(14, 0.5)
     states = [decision.state for decision in rig.decisions]
     assert states == ["off"] * 10 + ["starting"] * 3 + ["running"]
-    assert rig.decisions[5].why == "it may start in 5 s: it must stay off for at least 10 s"
     assert rig.decisions[10].request == pytest.approx(0.65525, abs=5e-6)
-    assert rig.decisions[13].why == "as commanded"
-    rig.run(2, 0.0)
-    assert rig.decisions[-1].why == "it must stay on for at least 10 s"
-    rig.run(11, 0.0)
+    rig.run(13, 0.0)
     assert [decision.state for decision in rig.decisions[20:]] == ["stopping"] * 3 + ["off"] * 4
     rig.run(20, 1.0)
     on = [decision.request is not None for decision in rig.decisions]
     assert [k for k in range(1, len(on)) if on[k] != on[k - 1]] == [10, 20, 30]
-    rig = Rig(x2=PAPER_SITE.x2_star)
-    assert rig.run(300, 1.0).why == "the roof is at its target"
+    rig = Rig(x2=PAPER_SITE.x2_star)  # a roof at its target
+    rig.run(300, 1.0)
     assert rig.delivered == 0
 
 
@@ -57,13 +53,10 @@ def test_what_is_unknown_is_reported_so() -> None:
         (decision.state, decision.flow, decision.speed, decision.at_rest)
         for decision in rig.decisions[-14:]
     } == {("unknown", None, None, False)}
-    assert rig.decisions[-1].why == "no connection; it is unknown whether the pump has stopped"
     decision = rig.run(60, 1.0)
-    assert (decision.at_rest, decision.why, decision.flow) == (True, "no connection", 0)
+    assert (decision.at_rest, decision.flow) == (True, 0)
     most = 15 * 1.29646769e-3 * 6.708204
     assert rig.state_file.state.day_volume - before == pytest.approx(most, rel=0.08)
-    rig.change = {}
-    assert rig.run(60, 0.0).why == "the command is 0"
 
 
 @pytest.mark.parametrize(("seconds", "counted"), [(5.0, 5.0), (3600.0, 15.0)])
@@ -74,7 +67,6 @@ def test_a_suspend_counts_at_worst_and_proves_no_rest(seconds: float, counted: f
     before = rig.state_file.state
     decision = rig.suspend(seconds, runs_on=10.0)
     assert (decision.at_rest, decision.state) == (False, "held")
-    assert "it is unknown whether the pump has stopped" in decision.why
     after = rig.state_file.state
     assert after.elapsed - before.elapsed == seconds and not after.on
     head = rig.site.z_o + rig.site.c_hat - rig.site.d
@@ -110,21 +102,18 @@ def test_a_speed_that_does_not_follow(stuck: float, command: float, bad_line: bo
     assert rig.run(100, command).state == "fault"
 
 
-@pytest.mark.parametrize(
-    ("ramp", "tau", "scenes"),
-    [
-        # Up to full speed, down, and up again before the pump stands, for any ticks.
-        *((ramp, tau, [(60, 1.0, None), (20, 0.0, None), (60, 1.0, None), (80, 0.0, None)])
-          for ramp, tau in ((30.0, 10.0), (30.0, 0.1))),
-        # It does not receive the stop; its own timeout acts 15 s later; then a ramp of 30 s.
-        (30.0, 1.0, [(60, 1.0, None), (15, 1.0, 1.0), (40, 0.0, None)]),
-    ],
-)
-def test_a_ramp_is_no_fault(
-    ramp: float, tau: float, scenes: list[tuple[float, float, float | None]]
+@pytest.mark.parametrize(("tau", "scenes"), [
+    # Up to full speed, down, and up again before the pump stands, for any ticks.
+    *((tau, [(60, 1.0, None), (20, 0.0, None), (60, 1.0, None), (80, 0.0, None)])
+      for tau in (10.0, 0.1)),
+    # It does not receive the stop; its own timeout acts 15 s later; then a ramp of 30 s.
+    (1.0, [(60, 1.0, None), (15, 1.0, 1.0), (40, 0.0, None)]),
+])
+def test_a_ramp_of_30_s_is_no_fault(
+    tau: float, scenes: list[tuple[float, float, float | None]]
 ) -> None:
     """Scenes: seconds, command, and the speed at which the drive stays while it is silent."""
-    rig = Rig(drive_ramp=1 / ramp, tau=tau)
+    rig = Rig(drive_ramp=1 / 30, tau=tau)
     for seconds, command, stuck in scenes:
         rig.stuck_speed, rig.change = stuck, dict(SILENT) if stuck else {}
         rig.run(seconds, command)

@@ -63,12 +63,12 @@ def hold_of(state: StoredState) -> tuple[str, str, float | None]:
     return state.hold_owner, state.hold_reason, state.hold_until
 
 
-def held(file: Path, owner: str = "the operator") -> bytes:
+def held(file: Path) -> bytes:
     """Return the content of a file before someone holds the pump, and the file is closed."""
     state_file = StateFile(file)
     assert state_file.flush(20.0) == ""
     before = file.read_bytes()
-    state_file.hold(owner)
+    state_file.hold("the operator")
     assert state_file.close() == ""
     return before
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -122,17 +123,14 @@ def test_a_hold_a_fault_and_the_limits_close_it() -> None:
 
 def test_it_makes_at_most_so_many_moves_an_hour() -> None:
     """Whole openings, of which one of 4 moves an hour begins every 30 min; it closes at once."""
-    rig, moves = opened(), list[int]()
-    before = rig.is_open
+    rig, states = opened(), list[bool]()
     for second in range(3 * 3600):
         rig.step(1.0 if second % 60 < 30 else 0.49)
-        if rig.is_open != before:
-            moves.append(second)
-            before = rig.is_open
+        states.append(rig.is_open)
         rig.level = 1.1
+    moves = [second for second, (a, b) in enumerate(pairwise(states)) if a != b]
     assert all(sum(at <= each < at + 3600 for each in moves) <= 4 for at in moves)
-    assert len(moves) >= 10
-    assert moves[1] - moves[0] >= 1800
+    assert len(moves) >= 10 and moves[1] - moves[0] >= 1800
 
 
 @pytest.mark.parametrize(("dry", "wet_for"), [(300.0, WET_S - 300.0), (WET_S + 10.0, 0.0)])
