@@ -72,6 +72,3 @@ class Hardware(Simulator):
 
     def until_it_pumps(self) -> None:
         wait_for(lambda: self.speed() > 0.9, 90, "the pump")
-
-    def until_it_stands(self) -> None:
-        wait_for(lambda: self.speed() == 0, 60, "a pump that stands")
