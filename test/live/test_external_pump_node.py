@@ -12,7 +12,6 @@ from typing import Any
 
 import pytest
 from checked_nodes import start_node
-from graphs import Process
 from places import CHECKOUT, CONFIG
 from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.node import Node
@@ -130,16 +129,6 @@ def test_a_driver_that_does_not_stop_is_a_fault(rig: Rig) -> None:
     assert rig.holds[-1] == 1.0
     assert not rig.call(Trigger, "/pump_guard/clear").success
     assert rig.call(Trigger, "/pump_guard/reset").success
-
-
-def test_check_pump_passes_the_example(rig: Rig) -> None:
-    rig.drive()
-    check = Process(
-        rig.watcher.domain, "check_pump", "--node", "my_pump", "--live", "--period", "0.2",
-        "--site", str(rig.site), cwd=rig.watcher.cwd,
-    )
-    assert check.wait(400) == 0, check.stdout() + check.stderr()
-    assert check.stdout().startswith("THE PUMP WILL RUN. The check takes ")
 
 
 def test_the_controller_commands_0_during_a_hold_and_without_news_of_it(site: Site) -> None:

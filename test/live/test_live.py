@@ -214,14 +214,11 @@ def test_on_off_replaces_a_class_that_fails(site: Site) -> None:
         assert process.poll() is None
 
 
-def test_what_was_learned_outlives_the_node_and_a_time_without_a_forecast(site: Site) -> None:
-    """Its commands grow by a thousandth each time, across the turn of on/off and a restart."""
-    commands, good = site.be_dry(), dict(site.values)
+def test_what_was_learned_outlives_the_node(site: Site) -> None:
+    """Its commands grow by a thousandth each time, across a restart."""
+    commands = site.be_dry()
     (site.cwd / "mine.py").write_text(MINE)
-    limits = {
-        "recovery_time": 0.2, "forecast_limit": 1.0,
-        "state_file": site.cwd / "state" / "learner.json",
-    }
+    limits = {"recovery_time": 0.2, "state_file": site.cwd / "state" / "learner.json"}
 
     def its_own() -> list[float]:
         return [value for _, value in commands if 0 < value < 1]
@@ -230,10 +227,6 @@ def test_what_was_learned_outlives_the_node_and_a_time_without_a_forecast(site: 
         with site.live("controller --controller mine:Learner", **limits):
             before = len(its_own())
             site.until(lambda before=before: len(its_own()) > before + 5, LATE, "its commands")
-            site.values = {name: value for name, value in good.items() if name not in FORECASTS}
-            site.until(lambda: newest(commands) == 1.0, LATE, "on/off")
-            before, site.values = len(its_own()), dict(good)
-            site.until(lambda before=before: len(its_own()) > before, LATE, "its commands again")
         site.during(0.5)  # its last messages are received, those that came while it ended, too
     assert all(b > a for a, b in pairwise(its_own()))
 

@@ -126,9 +126,6 @@ def test_what_follows_from_another_one() -> None:
     # Frost is told by the weather node, with its temperature.
     (wrong("/weather: frost", "freezing", level=WARN),
      wrong("/pump: pump", "frost", level=WARN) | wrong("/pump: frost", "frost", level=WARN), {}),
-    # A level that only its readers find wrong: the pump node knows the most about it.
-    (wrong("/pump: levels", "input_frozen", "/roof/level"),
-     wrong("/mpc: inputs", "input_frozen", "/roof/level"), {}),
     # A node that waits follows from the one it waits for.
     (wrong("/weather", "node_silent", level=STALE),
      wrong("/mpc", "peers_awaited", "weather", level=WARN)

@@ -240,9 +240,6 @@ def test_with_its_token_it_releases_and_gives_a_dose_after_a_question(open_page:
     confirm(page, "clear", "The fault is cleared: a slow start. The pump then starts")
     assert posted(page) == ["clear"]
     said[:] = pump("off: the command is 0", max_dose=0.5, no_dose="")
-    page.locator("#litres").fill("600")
-    page.locator("#dose-button").click()
-    assert not page.locator("#ask").is_visible()
     page.locator("#litres").fill("250")
     with page.expect_request("**/dose") as sent:
         confirm(page, "dose", "Give a dose of 250 L?")

@@ -4,14 +4,11 @@ from __future__ import annotations
 
 import os
 import re
-import resource
 import signal
 import socket
 import subprocess
-import threading
-import time
 from collections.abc import Iterator
-from contextlib import closing, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import pytest
@@ -26,7 +23,6 @@ from graphs import (
     wait_for,
 )
 from page_server import read_state, request
-from peers import in_domain, repeating
 from simulators import Simulator
 
 from greenroof_ros.watch.lines import read_histories
@@ -129,52 +125,6 @@ def child_of(process: Process, command: bytes = b"greenroof_ros\0watch") -> int:
             if command in Path(f"/proc/{pid}/cmdline").read_bytes():
                 return pid
     return 0
-
-
-@contextmanager
-def attackers(port: int) -> Iterator[None]:
-    """Keep 1300 clients that send nothing or many requests, and read no answer."""
-    files = resource.getrlimit(resource.RLIMIT_NOFILE)
-    resource.setrlimit(resource.RLIMIT_NOFILE, (max(4096, files[0]), files[1]))
-    paths = ("/uPlot.js", "/state", "/charts?hours=168", "/nowhere")
-    requests = [f"GET {path} HTTP/1.1\r\nHost: localhost\r\n\r\n".encode() for path in paths]
-    clients = [socket.socket() for _ in range(1300)]
-
-    def attack() -> None:
-        for number, client in enumerate(clients):
-            with suppress(OSError):
-                client.setblocking(False)
-                client.connect_ex(("127.0.0.1", port))
-                client.send(100 * requests[number % 4] if number % 5 else b"")
-
-    attack()
-    with repeating(attack, 2.0):
-        yield
-    for client in clients:
-        client.close()
-    resource.setrlimit(resource.RLIMIT_NOFILE, files)
-
-
-def test_1300_hostile_clients_keep_no_stop_away(domain: int, tmp_path: Path) -> None:
-    """Not even a watcher that may open only 1024 files; nor is a stop dropped that waits."""
-    pytest.importorskip("rclpy", reason="nodes need ROS 2")
-    from test_graph_client import Pump
-
-    with in_domain(domain), closing(Pump(domain)) as pump:
-        page, port = watcher(domain, tmp_path)
-        _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
-        resource.prlimit(page.process.pid, resource.RLIMIT_NOFILE, (1024, most))
-        wait_for(lambda: read_state(port)["stop"]["possible"], 60, "the pump node")
-        with attackers(port):
-            time.sleep(5.0)
-            assert len(files_of(page.process.pid)) < 200  # of 128 connections, and others
-            for wait in (1.5, *[0.0] * 9):
-                pump.answers.clear()
-                threading.Timer(wait, pump.answers.set).start()
-                answer = request(port, "POST", "/stop", b"{}", X_Greenroof="1")
-                assert answer.json() == {"ok": True, "sentence": "held: a hold by the page"}
-        assert len(pump.requests) == 10
-        end(page)
 
 
 def test_a_stop_is_released_as_shown_and_a_killed_site_is_told_first(

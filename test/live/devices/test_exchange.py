@@ -86,8 +86,9 @@ def test_it_runs_while_asked_and_stops_when_told_or_asked_nonsense_or_not_at_all
 # --- by the test's clock: connections that break --------------------------------------------------
 
 
-def test_one_lost_answer_stops_nothing_and_a_half_open_connection_heals(bench: Bench) -> None:
-    """A new connection begins with a stop."""
+def test_one_lost_answer_stops_nothing_and_a_new_connection_begins_with_a_stop(
+    bench: Bench
+) -> None:
     bench.run()
     bench.drive.written.clear()
     lost = iter([True])
@@ -96,8 +97,7 @@ def test_one_lost_answer_stops_nothing_and_a_half_open_connection_heals(bench: B
     bench.until(lambda: bench.now.problem == "")
     assert bench.connections == 1 and OFF not in bench.drive.written
     bench.drive.silent = True
-    took = bench.until(lambda: not bench.now.connected)
-    assert took < 2 * (TIMEOUT_S + PERIOD_S) + PERIOD_S + STEP_S and bench.now.status is None
+    bench.until(lambda: not bench.now.connected)
     bench.drive.written.clear()
     bench.drive.silent = False
     bench.until(lambda: bench.now.connected)
@@ -144,13 +144,6 @@ def test_after_a_failed_start_the_next_follows_an_off_that_was_asked_for(
 
 
 # --- by the test's clock: faults, and another master ----------------------------------------------
-
-
-def test_the_trip_of_a_lost_connection_is_acknowledged(bench: Bench) -> None:
-    bench.drive.values.update({3: 0x1238, 400: 0x6681})  # EFB communication loss
-    bench.insists = True
-    bench.run()
-    assert bench.drive.written[:3] == [OFF, (1, 0), OFF] and ACKNOWLEDGE in bench.drive.written
 
 
 def test_a_fault_is_acknowledged_by_a_reset_while_it_is_seen(bench: Bench) -> None:

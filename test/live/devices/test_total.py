@@ -66,8 +66,6 @@ HOUR = 3600
         # The connection is lost for an hour of rain.
         (GAUGE, [(0, 17.0), (30, 17.2), (31, None), (3630, 57.2), (3660, 57.4)],
          HOUR, 40.4, 1e-4, 0),
-        # A storm goes faster than the sensor's maximum rate for a while.
-        (GAUGE, [(0, 17.0), (10, 23.0), (20, 24.0)], 100, 7.0, 1e-4, 0),
         # 5.8 mm in 0.6 s after 10 minutes of drizzle: all is published within about a minute.
         (GAUGE, [(0, 0.0), (600, 0.2), (600.5, 5.0), (600.6, 6.0)], 70, 6.0, 1e-4, 0),
         # A water meter after an outage of an hour shows no flow of long ago: a flow while the pump

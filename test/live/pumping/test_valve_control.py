@@ -220,7 +220,7 @@ def test_nothing_is_found_at_a_sound_valve() -> None:
 
 def test_a_silent_relay_counts_as_closed_only_after_its_timer_and_travel() -> None:
     rig = opened()
-    rig.change = {"on": None, "reasons": [LOST]}
-    states = [(rig.step().state, rig.decision.at_rest) for _ in range(60)]
-    assert states[0] == ("unknown", False) and states[-1] == ("closed", True)
-    assert sum(not at_rest for _, at_rest in states) == pytest.approx(10 + TRAVEL, abs=2)
+    lost = {"on": None, "reasons": [LOST]}
+    assert rig.run(1, **lost).state == "unknown"
+    closed = rig.until(lambda decision: decision.at_rest, 60, **lost)
+    assert closed == pytest.approx(10 + TRAVEL, abs=2)
