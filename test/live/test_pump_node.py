@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 from graphs import Process, free_ports
-from pump_node_rig import PumpRig, state_in
+from live_rig import PumpRig, state_in
 from rcl_interfaces.msg import Parameter as ParameterMessage
 from rcl_interfaces.msg import ParameterValue
 from rcl_interfaces.srv import SetParametersAtomically
