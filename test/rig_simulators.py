@@ -641,15 +641,12 @@ def local(port: int) -> Address:
 
 
 def drive_simulator(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--drive", required=True)
-    parser.add_argument("--port", type=int, default=5020)
-    parser.add_argument("--serial")
-    parser.add_argument("--at")
-    parser.add_argument("--workbench", type=int, default=0)
-    parser.add_argument("--ramp", type=float, default=5.0)
-    parser.add_argument("--boot", type=float, default=3.0)
-    parser.add_argument("--timeout", type=float, default=5.0)
-    parser.add_argument("--speed", type=float, default=1.0)
+    for name in ("drive", "serial", "at"):
+        parser.add_argument(f"--{name}")
+    for name, default in (("port", 5020), ("workbench", 0)):
+        parser.add_argument(f"--{name}", type=int, default=default)
+    for name, seconds in (("ramp", 5.0), ("boot", 3.0), ("timeout", 5.0), ("speed", 1.0)):
+        parser.add_argument(f"--{name}", type=float, default=seconds)
     add_site(parser)
     given = parser.parse_args()
     path, workbench = find_drive_file(given.drive), local(given.workbench)

@@ -69,25 +69,18 @@ with scratch_directory(sys.argv[1]) as directory:
 def test_what_a_killed_process_leaves_is_removed_at_the_next_start(tmp_path: Path) -> None:
     """With what is in it; what a process still uses, even a stopped one, is not touched."""
     (tmp_path / "someone's").mkdir()
-    (tmp_path / "someone's" / "lock").touch()
-    os.utime(tmp_path / "someone's" / "lock", (0, 0))
     (tmp_path / "greenroof_ros_temporary-link").symlink_to(tmp_path / "someone's")
     with subprocess.Popen(
         [sys.executable, "-c", _SCRATCH, str(tmp_path)], stdout=subprocess.PIPE, text=True
     ) as other:
-        try:
-            assert other.stdout is not None
-            left = Path(other.stdout.readline().strip())
-            other.send_signal(signal.SIGSTOP)
-            os.utime(left / "lock", (0, 0))
-            with scratch_directory(str(tmp_path)) as mine:
-                assert mine.is_dir() and left.is_dir()
-                other.kill()
-                other.wait(TOO_LONG_S)
-                with scratch_directory(str(tmp_path)) as another:
-                    assert mine.is_dir() and another != mine
-                    assert not left.exists()
-            assert not mine.exists()
-            assert (tmp_path / "someone's").is_dir()
-        finally:
+        assert other.stdout is not None
+        left = Path(other.stdout.readline().strip())
+        other.send_signal(signal.SIGSTOP)
+        os.utime(left / "lock", (0, 0))
+        with scratch_directory(str(tmp_path)) as mine:
+            assert mine.is_dir() and left.is_dir()
             other.kill()
+            other.wait(TOO_LONG_S)
+            with scratch_directory(str(tmp_path)) as another:
+                assert mine.is_dir() and another != mine and not left.exists()
+        assert not mine.exists() and (tmp_path / "someone's").is_dir()

@@ -13,6 +13,7 @@ import subprocess
 from typing import Any
 
 import pytest
+from brokers import mosquitto, needs_mosquitto
 from graphs import Process, free_ports
 from live_rig import PumpRig, state_in
 from rcl_interfaces.msg import Parameter as ParameterMessage
@@ -21,6 +22,7 @@ from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from ros_rig import ERROR, LATE, Observer, qos
+from simulators import Simulator
 from std_msgs.msg import Float64
 from std_srvs.srv import SetBool, Trigger
 
@@ -184,3 +186,20 @@ def test_a_dose_by_the_command(rig: PumpRig) -> None:
     assert rig.call(SetBool, "/pump/stop", data=True).success
     code, output = rig.finish(process)
     assert (code, "error: the dose ended early, after " in output) == (1, True)
+
+
+@needs_mosquitto
+def test_check_pump_finds_a_relay_right(rig: PumpRig) -> None:
+    """At command 1, at which a relay stays on; the check acts as all peers, so no one publishes."""
+    with mosquitto(rig.cwd) as broker, Simulator(
+        "drive_simulator", "--drive", "tasmota", "--at", f"{broker.address}/roof", "--timeout", "3"
+    ) as relay:
+        node = rig.start(f"{broker.address}/roof", drive="tasmota")
+        check = Process(
+            rig.watcher.domain, "check_pump", "--node", "pump", "--live", "--period", "0.1",
+            "--command", "1", "--site", str(rig.cwd / "site.yaml"), cwd=rig.cwd,
+        )
+        assert check.wait(300) == 0, check.stdout() + check.stderr()
+        assert relay.speed() == 0.0
+        node.terminate()
+        node.wait(120)

@@ -51,8 +51,6 @@ def test_simulated_run(domain: int, tmp_path: Path, observer: Observer) -> None:
     assert {status.level for array in arrays for status in array.status} == {OK}
     plant, run = observer.values("/site1/plant"), tmp_path / "run"
     assert isinstance(plant["roof_level"], float)
-    for name in names[:3]:
-        assert observer.values(name)["site"] == str(run / "configuration" / "site.yaml")
     assert observer.values(names[3])["bag"] == str(run / "bag")
     for name in names:
         stamps = [

@@ -9,6 +9,7 @@ import pytest
 
 from greenroof_ros.interface.alarm import ERROR, LEVELS, OTHER, STALE, WARN, Alarm, advise
 from greenroof_ros.interface.conditions import read_conditions
+from greenroof_ros.ros.alarm_status import read_status
 from greenroof_ros.ros.alarms import Judge, find_causes
 from greenroof_ros.ros.reports import StatusDiagnosis
 
@@ -183,3 +184,9 @@ def test_every_code_has_words_for_whoever_stands_at_the_pump() -> None:
     leaks = advise("valve_leaks", "valve", "/site1/valve")
     assert "greenroof outlet reset --namespace site1" in leaks
     assert advise("of another version", "pump", "/pump") == OTHER
+
+
+def test_what_another_program_says_of_an_alarm_is_checked() -> None:
+    for broken in ({"number": "x"}, {"since": "now"}, {"seconds": "long"}):
+        with pytest.raises(ValueError, match=r"x|now|long"):
+            read_status("/pump", 2, "", broken)

@@ -9,7 +9,6 @@ import os
 import re
 import signal
 import struct
-import time
 from pathlib import Path
 
 import pytest
@@ -25,7 +24,6 @@ pytest.importorskip("rclpy", reason="nodes need ROS 2")
 import aiohttp
 
 from greenroof_ros.ros.messages import decoder
-from greenroof_ros.watch import feed
 from greenroof_ros.watch.feed import Feed
 from greenroof_ros.watch.store import GraphStore
 
@@ -57,13 +55,11 @@ async def receive(port: int, number: int) -> dict[int, float]:
     return found
 
 
-def test_a_run_under_the_eyes_of_five_is_the_same_run(
-    domain: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_run_under_the_eyes_of_five_is_the_same_run(domain: int, tmp_path: Path) -> None:
     """What they receive is what is recorded, each value at its tick, or at the next one.
 
     A page that waits for it, one that is stopped, a client of Foxglove, a store, and its own page,
-    which is killed. Of a run that is too fast, only reports are received.
+    which is killed.
     """
     options, watched = ("--controller", "onoff", "--hours", "1"), GraphStore()
     page, port = watcher(domain, tmp_path)
@@ -82,16 +78,10 @@ def test_a_run_under_the_eyes_of_five_is_the_same_run(
         os.kill(killed, signal.SIGKILL)
         run.until_printed("the watcher has exited, and starts again in 2 s")
         found = asyncio.run(receive(served, 5))
-        wait_for(lambda: LEVEL in watched.newest, 60, "the level in the store")
-        monkeypatch.setattr(feed, "FASTEST", 0.0)
-        time.sleep(0.5)
-        newest = dict(watched.newest)
         wait_for(lambda: child_of(run) not in (0, killed), 60, "another watcher")
-        assert watched.newest == newest and watched.mode == "simulated"
         assert run.wait(120) == 0, run.stderr()
         for mode in (lambda: read_state(port)["mode"], lambda: watched.mode):
             wait_for(lambda mode=mode: mode() == "ended", 60, "the end of the run")
-    assert watched.now > newest[LEVEL].time  # by the plant's last report
     stopped.process.send_signal(signal.SIGCONT)
     for process in (page, stopped, viewer):
         end(process, signal.SIGTERM)

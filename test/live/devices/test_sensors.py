@@ -2,18 +2,12 @@
 
 from __future__ import annotations
 
-import getpass
-import shutil
-import subprocess
 from contextlib import closing
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import pytest
-from brokers import mosquitto, needs_mosquitto
 from modbus_wire import Answer, Wire
-from simulators import until
 
 from greenroof_ros.live.devices import sensor as devices
 from greenroof_ros.live.devices.sensor import ModbusReader, MqttReader, Reader, SensorLine
@@ -210,28 +204,3 @@ def test_at_the_start_a_sensor_is_lost_only_after_its_maximum_age(
     silent.now += 0.2
     assert result(silent.reader) == "has sent nothing for 60 s"
     assert silent.tell("1") == MAY_BE_OLD
-
-
-@needs_mosquitto
-@pytest.mark.skipif(shutil.which("openssl") is None, reason="there is no openssl here")
-def test_why_a_broker_cannot_be_used_is_reported(tmp_path: Path) -> None:
-    """An unknown certificate, another host's, TLS on one side only, a wrong password."""
-    certificate, key, login = (tmp_path / name for name in ("c.pem", "k.pem", "login.yaml"))
-    command = "openssl req -x509 -newkey rsa:2048 -nodes -subj /CN=x -addext subjectAltName=DNS:x"
-    subprocess.run(
-        [*command.split(), "-keyout", key, "-out", certificate], check=True, capture_output=True
-    )
-    login.write_text("username: a\npassword: wrong\n")
-    login.chmod(0o600)
-    secret = "allow_anonymous true", f"certfile {certificate}", f"keyfile {key}"
-    for lines, scheme, changed, why in (
-        (secret, "mqtts", {}, "verify failed: self-signed certificate"),
-        (secret, "mqtts", {"authority": str(certificate)}, "verify failed: IP address mismatch"),
-        (secret, "mqtt", {}, "if it expects TLS, use mqtts://"),
-        (("allow_anonymous false",), "mqtt", {"login": str(login)}, "Not authorized"),
-    ):
-        with mosquitto(tmp_path, *lines, f"user {getpass.getuser()}") as broker, closing(MqttReader(
-            "cistern", sensor_at(f"{scheme}://127.0.0.1:{broker.port}/x", **changed)
-        )) as reader:
-            reader.start()
-            until(lambda why=why, reader=reader: why in reader.snapshot.problem, 10)
