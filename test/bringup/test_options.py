@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import sys
 from functools import partial
@@ -21,7 +22,7 @@ from greenroof_ros.live.devices.exchange import read_endpoint
 from greenroof_ros.live.live_site import LiveSite
 from greenroof_ros.live.live_site import make_parser as live_site_parser
 from greenroof_ros.live.site_run import make_stopper
-from greenroof_ros.ros.domain import lock_bringup
+from greenroof_ros.ros.domain import lock_bringup, prepare_ros
 from greenroof_ros.ros.parameter_file import node_parameter_files
 
 EXTERNAL = ("--sensors", "external", "--pump", "external", "--weather", "external")
@@ -144,3 +145,16 @@ def test_a_directory_in_use(tmp_path: Path) -> None:
         done = run_command("bringup.live", *EXTERNAL, cwd=tmp_path, env=environment(0))
     assert (done.returncode, directory.exists()) == (3, False)
     assert done.stderr.startswith(f"error: a bringup is already running in {directory}; stop it")
+
+
+def test_values_that_ros_would_replace(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With its own values, messages may leave this machine."""
+    pytest.importorskip("rclpy", reason="it is about ROS 2")
+    monkeypatch.setattr(os, "environ", {**os.environ})
+    for variable, value, words in (
+        ("ROS_AUTOMATIC_DISCOVERY_RANGE", "localhost", "did you mean LOCALHOST?"),  # rcl: SUBNET
+        ("ROS_DOMAIN_ID", "abc", "must be a whole number from 0 to 101"),
+    ):
+        os.environ[variable] = value
+        message = refusal(prepare_ros)
+        assert message.startswith(f"{variable} = {value!r}: ") and words in message

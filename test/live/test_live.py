@@ -8,16 +8,19 @@ that are stopped, by the fault campaign.
 from __future__ import annotations
 
 import math
+import os
 import time
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import pytest
 from forecast_service import started_service
 from paper import PAPER_SITE
 from rclpy.node import Node
+from refusals import refusal
 from ros_rig import (
     ERROR,
     FORECAST_HEADER,
@@ -31,6 +34,7 @@ from ros_rig import (
     write_forecast,
 )
 
+from greenroof_ros.live.number_file import NumberFile
 from greenroof_ros.live.weather import _find_monthly_mean
 from greenroof_ros.site.horizon import growing_steps
 
@@ -309,3 +313,25 @@ def test_live_weather_that_lacks_something_until_it_is_fetched(site: Site) -> No
         assert len(newest(forecast)) == 11 * (len(growing_steps(24.0)) - 1)
         site.until(lambda: len([*disk.glob("forecast/*.csv")]) == 1, LATE, "its archive")
     service.close()
+
+
+def test_what_is_no_mapping_of_numbers_is_refused(tmp_path: Path) -> None:
+    file = tmp_path / "numbers.json"
+    file.write_text('{"a": NaN}')
+    refusal(NumberFile(file).read, match=r"numbers\.json.*a = 'NaN': must be a finite number")
+
+
+def test_the_file_is_on_the_disk_before_it_takes_the_place_of_the_old_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Otherwise a power cut could leave a name without content."""
+    file, contents = tmp_path / "numbers.json", list[tuple[str, str]]()
+    file.write_text('{"a": 1.0}')
+    monkeypatch.setattr(os, "fsync", lambda number: contents.append(
+        (Path(f"/dev/fd/{number}").read_text(), file.read_text())
+    ))
+    numbers = NumberFile(file)
+    numbers.write({"a": 2.0})
+    numbers.close()
+    assert contents == [('{\n "a": 2.0\n}', '{"a": 1.0}')]
+    assert numbers.read() == {"a": 2.0}

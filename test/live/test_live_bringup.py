@@ -10,6 +10,8 @@ import os
 import shutil
 import signal
 import socket
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Iterator
@@ -19,7 +21,7 @@ from pathlib import Path
 
 import pytest
 from disks import disk_that_hangs, full_pipe
-from graphs import Process, summary_of, wait_for
+from graphs import Process, alive, environment, summary_of, wait_for
 from live_rig import QUICK, Hardware, live
 from places import CONFIG
 from ros_rig import Site, newest, write_forecast
@@ -196,3 +198,28 @@ def test_a_disk_or_a_terminal_that_hangs_stops_no_pump(
     assert stamps == sorted(set(stamps)) and max(b - a for a, b in pairwise(stamps)) < 5
     assert HANG_S / 2 < sum(stamp < hung + HANG_S for stamp in stamps) < HANG_S + 2
     assert "not_recorded" in new and {"node_silent", "node_failed"}.isdisjoint(new)
+
+
+@pytest.mark.graph
+def test_a_new_site_is_watered_within_a_minute(domain: int, tmp_path: Path) -> None:
+    """Neither a broker nor a forecast is needed, and Ctrl-C leaves no process behind."""
+    shutil.copy(CONFIG / "site.yaml", tmp_path / "my_site.yaml")
+    site = Process(
+        domain, "simulators live", "--site", "my_site.yaml", "--state", "run", cwd=tmp_path
+    )
+    site.until_printed("running:", 90)
+    devices = int(site.stdout().split("process ")[1].split()[0])
+
+    def pumps() -> bool:
+        status = subprocess.run(
+            [sys.executable, "-m", "greenroof_ros", "status"], env=environment(domain),
+            capture_output=True, text=True, check=False,
+        )
+        return "pump: running" in status.stdout
+
+    wait_for(pumps, 60, "the watering")
+    site.process.send_signal(signal.SIGINT)
+    assert site.wait(60) == 0, site.stderr()
+    assert not alive(devices)
+    summary = summary_of(tmp_path / "run")
+    assert (summary["status"], summary["alarms"]) == ("done", [])
