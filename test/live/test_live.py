@@ -19,12 +19,10 @@ from typing import Any
 import pytest
 from forecast_service import started_service
 from paper import PAPER_SITE
-from rclpy.node import Node
 from refusals import refusal
 from ros_rig import (
     ERROR,
     FORECAST_HEADER,
-    FORECASTS,
     LATE,
     OK,
     USUAL_EVAPOTRANSPIRATION,
@@ -70,35 +68,6 @@ def follow(
         site.during(0.5)
         assert all(command in (None, value) for _, value in commands[before:])
     site.values = good
-
-
-def test_a_bad_input_stops_the_pump(site: Site) -> None:
-    """Command 0, input and rule on /diagnostics, and recovery; on/off needs no forecast."""
-    commands = site.be_dry()
-    for name in FORECASTS:
-        del site.values[name]
-    # The flow lowers the cistern as fast as be_dry does: by 0.3 mm in 1.9 s.
-    site.values["/pump/flow"] = 1.6e-4 * PAPER_SITE.a1
-    cistern, part = site.values["/cistern/level"], "/onoff: inputs"
-    well = {}, 0.5, part, OK
-    with site.live(
-        "controller --controller onoff", fraction=0.5, level_limit=1.5, recovery_time=1.0,
-        frozen_movement=3e-4,
-    ):
-        for bad, words in (
-            ({"/roof/level": math.nan}, "/roof/level was rejected"),
-            ({"/cistern/level": None}, "/cistern/level is older than 1.5 s"),
-            ({"/cistern/level": cistern(time.monotonic())}, "level is frozen"),
-        ):
-            follow(site, commands, 1.0, well, (bad, 0.0, part, ERROR, words), well)
-        intruder = Node("intruder", context=site.watcher.context, start_parameter_services=False)
-        site.watcher.publisher("/roof/level", intruder)
-        words = "/roof/level has 2 publishers (intruder, observer)"
-        follow(site, commands, 1.0, ({}, 0.0, part, ERROR, words))
-        intruder.destroy_node()
-        # A pump that is held freezes no level.
-        still = {"/pump/flow": 0.0, "/cistern/level": cistern(time.monotonic())}
-        follow(site, commands, 1.0, well, (still, 0.5, part, OK))
 
 
 def test_onoff_commands_without_a_forecast(site: Site) -> None:
