@@ -277,3 +277,22 @@ def alive(pid: int) -> bool:
         return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
     except OSError:
         return False
+
+
+# --- nodes of users: the examples, with changes ---------------------------------------------------
+
+
+def changed(text: str, old: str, new: str) -> str:
+    assert text.count(old) == 1, old
+    return text.replace(old, new)
+
+
+def start_node(
+    domain: int, directory: Path, name: str, source: str, *arguments: str
+) -> subprocess.Popen[bytes]:
+    """Start a node from its source, as its user would."""
+    file = directory / f"{name}.py"
+    file.write_text(source)
+    return subprocess.Popen(
+        [sys.executable, str(file), *arguments], cwd=directory, env=environment(domain)
+    )

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
-from checked_nodes import start_node
+from graphs import start_node
 from places import CHECKOUT, CONFIG
 from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.node import Node

@@ -110,8 +110,7 @@ class Learner(Waiting):
     def learned(self, values): self.asked = int(values["asked"])
 
 class Broken(Waiting):
-    needs_forecast, outputs = False, {"/controller/fill_to": "fill_to"}
-    fault = property(lambda self: Path("fault").read_text())
+    needs_forecast, fault = False, property(lambda self: Path("fault").read_text())
     def __init__(self, *site, **answer):
         if self.fault == "made": raise ValueError("no")
     def command(self, *given):
@@ -120,10 +119,6 @@ class Broken(Waiting):
             try: time.sleep(60)
             except BaseException: time.sleep(60)
         return math.nan if self.fault == "NaN" else 0.3
-    @property
-    def fill_to(self):
-        if self.fault == "output": math.sqrt(-1.0)
-        return None if self.fault == "no number" else 1.0
 """
 
 
@@ -156,7 +151,7 @@ def test_a_missing_forecast_starts_no_pump(
 FAULTS = {
     "made": ("ValueError: no", "raise ValueError"), "raises": ("ZeroDivisionError", "1 / 0"),
     "never returns": ("did not return", "BaseException"),
-    "NaN": ("must be a finite number", "*given"), "output": ("ValueError", "math.sqrt"),
+    "NaN": ("must be a finite number", "*given"),
 }
 
 
@@ -178,8 +173,6 @@ def test_on_off_replaces_a_class_that_fails(site: Site) -> None:
                 site, commands, 0.03,
                 ({"fault": what}, 1.0, part, WARN, IN_COMMAND, place, why), ({}, 0.3, part, OK),
             )
-        # An output that no message can contain.
-        follow(site, commands, 0.03, ({"fault": "no number"}, None, part, WARN, "raises"))
         assert process.poll() is None
 
 

@@ -7,8 +7,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import pytest
-from checked_nodes import changed, start_node
-from graphs import Process
+from graphs import Process, changed, start_node
 from places import CHECKOUT, CONFIG
 
 CONTROLLER = (CHECKOUT / "examples" / "controller_node.py").read_text()
@@ -85,12 +84,6 @@ DRIVERS = {
         "second publisher": r"0\.00\d+ on /pump/flow after 3 s with usual inputs",
         "at the suction level": "after 3 s with 0.749 on /cistern/level",
     }),
-    "acts_at_the_command": Case({
-        "    tick[topic] = message.data\n    if len(tick) < len(INPUTS):\n        return\n":
-            "    node.seen = getattr(node, 'seen', {}) | {topic: message.data}\n"
-            "    if topic != INPUTS[0] or len(node.seen) < len(INPUTS):\n        return\n"
-            "    tick.update(node.seen)\n",
-    }, {"in any order": "an answer came before the last input in /pump/command, /"}),
 }
 
 

@@ -10,8 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from checked_nodes import changed, start_node
-from graphs import Process, bag_file, bring_up, messages_of, summary_of
+from graphs import Process, bag_file, bring_up, changed, messages_of, start_node, summary_of
 from paper import VALVE, site_file
 from places import CHECKOUT
 

@@ -8,9 +8,8 @@ import struct
 from pathlib import Path
 
 import pytest
-from checked_nodes import changed
 from commands import run_command
-from graphs import bring_up, environment, messages_of
+from graphs import bring_up, changed, environment, messages_of
 from paper import VALVE, site_file
 
 from greenroof_ros.base.files import shared_directory

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 from graphs import Process, bag_file, bring_up, wait_for
 from mcap.reader import make_reader
-from page_server import read_state
+from page_inputs import read_state
 from peers import in_domain
 from test_watch_command import child_of, end, tcp_addresses_of, watcher
 

@@ -11,8 +11,7 @@ from typing import Any
 import pytest
 from brokers import Talker, mosquitto, needs_mosquitto
 from graphs import Process, wait_for
-from page_inputs import SECOND, START, add_plan, add_values, alarm, fail, store, valve
-from page_server import running
+from page_inputs import SECOND, START, add_plan, add_values, alarm, fail, running, store, valve
 from test_watch_command import running_pump
 
 from greenroof_ros.base.mqtt import parse_broker

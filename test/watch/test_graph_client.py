@@ -108,3 +108,17 @@ def test_a_stop_goes_to_every_node_that_may_control_the_pump(
     refused(client, "two nodes have this name", 3.0, answered=False)
     for pump in pumps:
         pump.close()
+
+
+def test_the_valve_is_no_pump(domain: int, client: GraphClient) -> None:
+    """It is told by what it offers, and neither is sent what is meant for the other."""
+    pump, valve = Pump(domain), Pump(domain, "valve", "open")
+    opening = {"owner": "me", "until": 4e9}
+    wait_for(lambda: client.find_nodes() == {"/pump": 1}, 60, "the pump")
+    wait_for(lambda: client.find_nodes("valve") == {"/valve": 1}, 60, "the valve")
+    client.request("open", 20, "valve", **opening)
+    client.request("close", 20, "valve", **PAGE)
+    client.request("stop", 20, **PAGE)
+    assert (valve.requests, pump.requests) == ([opening, PAGE], [PAGE])
+    for each in (pump, valve):
+        each.close()

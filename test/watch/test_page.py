@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import re
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from dataclasses import replace
 from typing import Any
 
@@ -24,10 +24,9 @@ from page_inputs import (
     alarm,
     fail,
     pump,
+    served,
     store,
 )
-from page_server import served
-from peers import repeating
 from places import CONFIG
 
 from greenroof_ros.interface.alarm import WARN
@@ -52,24 +51,12 @@ def browser() -> Iterator[Any]:
         yield started
 
 
-@contextmanager
-def saying(watched: GraphStore, statuses: Sequence[Status]) -> Iterator[None]:
-    """Have nodes report four times a second as real ones do, with alarms; the list can be changed.
-
-    The feed tells the store the time, and that the pump node offers its services.
-    """
-    def say() -> None:
-        now = time.monotonic()
-        if statuses:
-            alarms = [status for status in statuses if "since" in status.values]
-            watched.add_alarms(now, alarms)
-        watched.add_statuses(now, 0, [each for each in statuses if "process" in each.values])
-        pumps = {each.name: 1 for each in statuses if each.values.get("role") == '"pump"'}
-        watched.offered = watched.offered or pumps
-
-    say()
-    with repeating(say, 0.25):
-        yield
+def say(watched: GraphStore, *statuses: Status) -> None:
+    """Have nodes report, with alarms, and fall silent only long after the test."""
+    late = time.monotonic() + 1e6
+    watched.add_alarms(late, [status for status in statuses if "since" in status.values])
+    watched.add_statuses(late, 0, [each for each in statuses if "process" in each.values])
+    watched.offered = {each.name: 1 for each in statuses if each.name == "/pump"}
 
 
 def site_watched(mode: str = "ended") -> GraphStore:
@@ -93,10 +80,9 @@ def open_page(browser: Any) -> Iterator[Open]:
     """Open the page of a store, with statuses of nodes; its console is ``page.said``."""
     with ExitStack() as stack:
         def opened(
-            watched: GraphStore, said: Sequence[Status] = (), token: str | None = None,
-            hash_: str = "",
+            watched: GraphStore, *said: Status, token: str | None = None, hash_: str = ""
         ) -> Any:
-            stack.enter_context(saying(watched, said))
+            say(watched, *said)
             port = stack.enter_context(served(watched, token))
             page = browser.new_page(viewport={"width": 1400, "height": 900})
             stack.callback(page.close)
@@ -174,10 +160,8 @@ def test_hostile_texts_are_texts_and_it_fits_every_width(open_page: Open) -> Non
     """
     watched = site_watched("simulated")
     watched.site_note = HOSTILE
-    page = open_page(watched, [
-        *pump(f"fault: {HOSTILE}"),
-        *(alarm(f"{HOSTILE}{i}", "x", HOSTILE, HOSTILE) for i in range(50)),
-    ])
+    alarms = (alarm(f"{HOSTILE}{i}", "x", HOSTILE, HOSTILE) for i in range(50))
+    page = open_page(watched, *pump(f"fault: {HOSTILE}"), *alarms)
     for place in ("#alarms li > span", "[data-key=pump] .sentence", "#events li", "#notes li"):
         until_shown(page, place, "<script>")
     until_drawn(page)
@@ -200,8 +184,8 @@ def test_stop_asks_once_and_no_answer_is_older_than_the_state(open_page: Open) -
 
     An answer gives way to the state that comes after it.
     """
-    said = pump("running: as commanded", at_rest=False)
-    page = open_page(site_watched("live"), said)
+    watched = site_watched("live")
+    page = open_page(watched, *pump("running: as commanded", at_rest=False))
     stop = until_shown(page, "#stop-button", "Stop the pump")
     stop.focus()
     stop.press("Enter")
@@ -212,9 +196,9 @@ def test_stop_asks_once_and_no_answer_is_older_than_the_state(open_page: Open) -
     until_shown(page, "#box.failed", "no request was sent")
     assert posted(page) == ["stop"]
     turns = alarm("/pump: pump", "pump", "stop_not_followed", "it is still turning", WARN)
-    said[:] = [turns, *pump("held: a hold", at_rest=False, hold=HOLD)]
+    say(watched, turns, *pump("held: a hold", at_rest=False, hold=HOLD))
     until_shown(page, "#box:not(.failed)", "stop it at its drive's panel")
-    said[:] = pump("held: a hold", at_rest=True, hold=HOLD)
+    say(watched, *pump("held: a hold", at_rest=True, hold=HOLD))
     until_shown(page, "#stop-button:enabled", "Keep the pump off")
 
 
@@ -222,14 +206,14 @@ def test_with_its_token_it_releases_and_gives_a_dose_after_a_question(open_page:
     """Not if the situation has changed since the question; the volume is the one named in it."""
     watched = site_watched("live")
     watched.allow_release = True
-    said = pump(f"held: {HELD}", hold=HOLD)
-    page = open_page(watched, said, "secret", "#token=secret")
+    held = pump(f"held: {HELD}", hold=HOLD)
+    page = open_page(watched, *held, token="secret", hash_="#token=secret")
     page.locator("#release-button:enabled").click()
-    said[:] = pump(f"held: {HELD}", hold=HOLD, fault="a slow start", no_clear="")
+    say(watched, *pump(f"held: {HELD}", hold=HOLD, fault="a slow start", no_clear=""))
     until_shown(page, "#box.failed", "the situation has changed")
     confirm(page, "clear", "The fault is cleared: a slow start. The pump then starts")
     assert posted(page) == ["clear"]
-    said[:] = pump("off: the command is 0", max_dose=0.5, no_dose="")
+    say(watched, *pump("off: the command is 0", max_dose=0.5, no_dose=""))
     page.locator("#litres").fill("250")
     with page.expect_request("**/dose") as sent:
         confirm(page, "dose", "Give a dose of 250 L?")
@@ -242,6 +226,6 @@ def test_a_fresh_page_has_its_stop_if_a_part_cannot_be_shown(
 ) -> None:
     """Neither the charts nor even the state is needed for it."""
     monkeypatch.setattr(f"greenroof_ros.watch.server.{broken}", fail)
-    page = open_page(site_watched("live"), pump("running", at_rest=False))
+    page = open_page(site_watched("live"), *pump("running", at_rest=False))
     confirm(page, "stop")
     until_shown(page, "#box.failed", "The watcher is busy, so no request was sent")

@@ -14,8 +14,8 @@ from typing import Any
 import pytest
 from graphs import wait_for
 from page_inputs import pump as pump_says
+from page_inputs import request, served
 from page_inputs import valve as valve_says
-from page_server import request, served
 
 from greenroof_ros.watch import server
 from greenroof_ros.watch.feed import Feed

@@ -22,7 +22,7 @@ from graphs import (
     udp_addresses_of,
     wait_for,
 )
-from page_server import read_state, request
+from page_inputs import read_state, request
 from simulators import Simulator
 
 from greenroof_ros.watch.lines import read_histories

@@ -187,15 +187,3 @@ def test_dry_run_with_hysteresis() -> None:
         decision = rig.run(seconds, 1.0)
         assert next(iter(decision.active), None) == code
         assert (decision.request is None) == (code is not None)
-
-
-def test_volume_per_day() -> None:
-    """Frozen controller and frozen roof sensor: 1 m3, and again when that slot is a day old."""
-    rig = Rig(x2=0.0, settings=settings_for(PAPER_SITE, max_volume_per_day=1.0))
-    rig.run(600, 1.0)
-    assert [*rig.decisions[-1].active] == ["daily_volume"]
-    # Beyond it: a step at maximum flow, and what flows while the pump comes to rest.
-    assert 1.0 <= rig.delivered <= 1.03
-    rig.state_file.count(1800 + 86_400 - 600 - 10, 0.0)
-    assert rig.run(8, 1.0).state == "held"
-    assert rig.run(4, 1.0).request is not None

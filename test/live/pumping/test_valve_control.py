@@ -107,20 +107,6 @@ def test_an_interlock_closes_it_at_once(change: dict[str, Any], code: str) -> No
     assert again >= WET_S - 1 if change.get("rain") else again < 60
 
 
-def test_a_hold_a_fault_and_the_limits_close_it() -> None:
-    rig = opened()
-    rig.state_file.hold("the owner")
-    assert (rig.run(1).state, [*rig.decision.active], rig.is_open) == ("held", ["hold"], False)
-    rig.state_file.release()
-    for settings, code in (({"max_run": 600.0}, "max_run"),
-                           ({"max_volume_per_day": 0.2}, "daily_volume")):
-        rig = opened(**settings)
-        rig.until(lambda decision: bool(decision.active), 700)
-        assert [*rig.decision.active] == [code] and not rig.is_open
-    released = rig.state_file.state.day_volume
-    assert 0.2 <= released < 0.2 + 2 * MOST
-
-
 def test_it_makes_at_most_so_many_moves_an_hour() -> None:
     """Whole openings, of which one of 4 moves an hour begins every 30 min; it closes at once."""
     rig, states = opened(), list[bool]()
