@@ -101,9 +101,7 @@ def test_a_site_is_kept_up_and_systemd_told(
     assert len(alarms) == 2
     with AnyReader([tmp_path / "run" / "bag"]) as reader:
         counts = {name: topic.msgcount for name, topic in reader.topics.items()}
-    assert counts["/pump/command"] == pytest.approx(len(commands), abs=30)
-    assert 2 <= counts["/alarms"] < len(commands) / 2  # only changes
-    assert "/diagnostics" not in counts
+    assert 2 <= counts["/alarms"] < counts["/pump/command"] / 2  # only changes
 
 
 @pytest.fixture
