@@ -9,6 +9,7 @@ import subprocess
 import sys
 import threading
 import time
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -76,10 +77,9 @@ def test_a_command_ends_at_any_time_with_130_and_leaves_nothing(
 
 def session_of(entry: Path) -> int:
     """Return the session of a process in /proc; 0 for what is none."""
-    try:
+    with suppress(ValueError, ProcessLookupError):
         return os.getsid(int(entry.name))
-    except (ValueError, ProcessLookupError):
-        return 0
+    return 0
 
 
 def test_a_background_command_ignores_it_as_the_shell_asked(tmp_path: Path) -> None:

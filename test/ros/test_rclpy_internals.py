@@ -10,7 +10,6 @@ from graphs import wait_for
 from peers import Peer, in_domain
 
 rclpy = pytest.importorskip("rclpy", reason="it is about ROS 2")
-pytestmark = pytest.mark.graph  # also run with the next ROS 2
 
 from rclpy.duration import Duration  # noqa: E402
 from std_msgs.msg import Float64  # noqa: E402
@@ -25,6 +24,7 @@ LEVEL = read_topics()["/roof/level"]
 MISSES = SimpleNamespace(add_node=lambda _: None, spin_once=lambda timeout_sec: None)
 
 
+@pytest.mark.graph  # also run with the next ROS 2
 def test_messages_that_came_before_an_executor_listens(domain: int) -> None:
     """rclpy's fast executor misses some of them, once in 7,000 times; they are passed on.
 

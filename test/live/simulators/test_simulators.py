@@ -5,6 +5,7 @@ The driver shows how each make obeys; test_wire.py checks the driver's words aga
 
 from __future__ import annotations
 
+import time
 from contextlib import closing
 from pathlib import Path
 
@@ -18,6 +19,7 @@ from greenroof_ros.live.devices.drive import Drive, DriveEndpoint
 from greenroof_ros.live.devices.drive_file import read_drive_file
 from greenroof_ros.live.devices.exchange import DriveExchange, read_endpoint
 from greenroof_ros.live.devices.modbus_line import parse_address
+from greenroof_ros.live.simulators.valve import SimulatedValve
 
 
 @pytest.mark.parametrize(
@@ -70,3 +72,25 @@ def test_a_drive_whose_program_has_died_is_stopped(tmp_path: Path) -> None:
     (nobody,) = free_ports(1)
     lost = run_command(*command, f"tcp://127.0.0.1:{nobody}", cwd=tmp_path, env=environment(0))
     assert (lost.returncode, lost.stdout[:23]) == (1, "THE PUMP MAY BE RUNNING")
+
+
+_OPEN, _CLOSED, _WRONG = (1, 0), (0, 1), (1, 1)
+
+
+@pytest.mark.parametrize(("fault", "on", "off"), [
+    ("", _OPEN, _CLOSED), ("leak", _OPEN, _CLOSED), ("wrong_switch", _OPEN, _WRONG),
+    ("stuck_open", _OPEN, _OPEN), ("stuck_closed", _CLOSED, _CLOSED),
+])
+def test_it_follows_its_relay_within_its_travel_time_unless_it_is_stuck(
+    monkeypatch: pytest.MonkeyPatch, fault: str, on: tuple[int, int], off: tuple[int, int]
+) -> None:
+    """Shown by the switches for open and for closed."""
+    now, relay = 0.0, False
+    monkeypatch.setattr(time, "monotonic", lambda: now)
+    valve = SimulatedValve(lambda: relay, 30.0, fault)
+    for relay, expected in ((True, on), (False, off)):  # noqa: B007
+        now += 15.0
+        assert fault or valve.advance() == pytest.approx(0.5)
+        now += 15.1
+        valve.advance()
+        assert (*valve.switches().values(),) == expected
