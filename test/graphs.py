@@ -193,18 +193,6 @@ class Process:
                     processes[word.rpartition(".")[2]] = pid
         return processes
 
-    def wait_for_ticks(self, size: int = 30_000) -> None:
-        """Wait until the bag in ``run`` has this size (bytes): the run is well under way."""
-        file = bag_file(self.cwd / "run")
-
-        def grown() -> bool:
-            if file.exists() and file.stat().st_size > size:
-                return True
-            assert self.process.poll() is None, self.stderr()
-            return False
-
-        wait_for(grown, 120, "a growing bag")
-
     def until_printed(self, words: str, seconds: float = 60) -> None:
         """Wait until it has printed these words on its standard error."""
         wait_for(lambda: words in self.stderr(), seconds, f"{words!r} of {self.process.args}")

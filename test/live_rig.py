@@ -81,9 +81,6 @@ class Hardware(Simulator):
         wait_for(lambda: self.speed() > 0.9, 90, "the pump")
 
 
-# A drive that ramps ten times as fast as in real time.
-PACE = ("--speed", "10", "--boot", "0.1", "--timeout", "1.5")
-MIN_TIMES = {"min_on": 1.0, "min_off": 1.0}
 
 
 def state_in(message: String) -> str:
@@ -112,10 +109,10 @@ class PumpRig(Site):
         return self._drive or self.simulate()
 
     def simulate(self, port: int = 0) -> Simulator:
-        """Start the simulated drive, which ends with the observer's nodes."""
+        """Start the simulated drive, ten times as fast as in real time, until the test's end."""
         self._drive = Simulator(
-            "drive_simulator", "--drive", "abb_acs880", *PACE, "--port", str(port),
-            "--workbench", "0",
+            "drive_simulator", "--drive", "abb_acs880", "--speed", "10", "--boot", "0.1",
+            "--timeout", "1.5", "--port", str(port),
         )
         self.watcher.started.append(self._drive.process)
         return self._drive
@@ -132,7 +129,7 @@ class PumpRig(Site):
             "drive": guarding("abb_acs880", self.cwd),
             "address": address or self.drive.address,
             "site_file": parameters.get("site_file") or self.site(), "recovery_time": 0.3,
-            "state_file": self.cwd / "state.json", **MIN_TIMES, **parameters,
+            "state_file": self.cwd / "state.json", "min_on": 1.0, "min_off": 1.0, **parameters,
         }
         self.states.clear()
         return self.watcher.start("live.pump", popen=popen, **settings)

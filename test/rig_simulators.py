@@ -29,7 +29,6 @@ from pymodbus.server.requesthandler import ServerRequestHandler
 from pymodbus.transport import CommType
 
 from greenroof_ros.base.command_line import add_site, command
-from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.live.devices.drive_file import DriveFile, find_drive_file
 from greenroof_ros.live.devices.exchange import read_endpoint
 from greenroof_ros.live.devices.modbus_line import (
@@ -683,12 +682,8 @@ def site_simulator(parser: argparse.ArgumentParser) -> None:
 @command
 def main() -> None:
     """Run the program that the first argument names."""
-    programs = (drive_simulator, site_simulator)
-    wanted = {program.__name__: program for program in programs}[sys.argv.pop(1)]
-    try:
-        wanted(argparse.ArgumentParser())
-    except OSError as error:
-        raise ConfigurationError(str(error)) from error
+    programs = {"drive_simulator": drive_simulator, "site_simulator": site_simulator}
+    programs[sys.argv.pop(1)](argparse.ArgumentParser())
 
 
 if __name__ == "__main__":

@@ -296,13 +296,13 @@ FORECAST_HEADER = "issued,time,precipitation [mm/h],evapotranspiration [mm/day],
 
 def write_forecast(
     path: Path, ago: timedelta = timedelta(0), rain: float = 0.0, temperature: float = 15.0,
-    *, evapotranspiration: float = 2.0, hours: int = 12,
+    *, hours: int = 12,
 ) -> None:
     """Write a file with one issue of some hours, in one step."""
     issued = datetime.now(UTC).replace(microsecond=0) - ago
     lines = [
         f"{issued.isoformat()},{(issued + timedelta(hours=hour)).isoformat()},{rain},"
-        f"{evapotranspiration},{temperature}"
+        f"2.0,{temperature}"
         for hour in range(hours)
     ]
     draft = path.with_suffix(".new")

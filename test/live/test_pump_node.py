@@ -55,7 +55,6 @@ def test_it_connects_by_itself_and_runs_no_drive_without_its_own_timeout(rig: Pu
     (port,) = free_ports(1)
     rig.start(f"gateway://127.0.0.1:{port}")
     rig.command(0.5, lambda: rig.code("drive") == "drive_lost", "a lost drive")
-    assert rig.drive_state == "connecting"
     drive = rig.simulate(port)
     rig.run()
     rig.command(0.5, lambda: rig.drive_state == "ready", "a drive that is ready")

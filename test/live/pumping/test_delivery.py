@@ -79,8 +79,6 @@ SPIKES = {"x2": 0.5, "noise": 0.002}
         # A spike every half minute makes both levels unknown for the 10 s of recovery. The pump
         # runs for 10 of every 30 s, so the 160 s of a burst pipe become 480.
         (SPIKES, 0.01, {"arriving": 0.0}, 1.0, 520, BURST),
-        # The level falls faster than pump and outlet allow, and so jumps again and again.
-        (SPIKES, 0.01, {"leak": 0.02}, 0.0, 120, LEAK),
     ],
 )
 def test_what_breaks_is_found(
