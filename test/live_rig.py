@@ -81,8 +81,6 @@ class Hardware(Simulator):
         wait_for(lambda: self.speed() > 0.9, 90, "the pump")
 
 
-
-
 def state_in(message: String) -> str:
     """Return the pump's state and the reason in a message of /pump/state."""
     return str(ActuatorState.read(message.data))

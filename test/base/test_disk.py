@@ -1,4 +1,4 @@
-"""A thread that writes to disk in order, in limited memory, even if the disk hangs or is full."""
+"""Who writes to a disk or to standard error that hangs waits for neither, in limited memory."""
 
 from __future__ import annotations
 

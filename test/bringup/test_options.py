@@ -1,4 +1,4 @@
-"""What bringup refuses on a command line, and what it reports on a drive and on its own errors."""
+"""What bringup refuses on a command line and in ROS' environment, and what it says of a drive."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Nodes of a live graph, with sensors that the test simulates: bad inputs, the weather.
+"""Nodes of a live graph, with sensors that the test simulates: forecasts, classes, the weather.
 
 A tick is 0.2 s here, and the limits are seconds, so a failure and its end take few seconds.
 The rules of an input are tested separately in test_input_rules.py; hostile messages, and processes

@@ -1,4 +1,4 @@
-"""A live site by bringup: levels and weather from the test's node, real processes, systemd.
+"""A live site by bringup, with real processes, and as one command on simulated devices.
 
 What follows from processes that are killed, ended or stopped, and from a full disk, is shown by the
 fault campaign.

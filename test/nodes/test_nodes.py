@@ -1,4 +1,4 @@
-"""Single nodes: what is refused, and a middleware that locks up."""
+"""Nodes by hand: what is refused, a middleware that locks up, peers that are awaited or gone."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The document: what an operator is shown, from values, plans, forecasts and statuses."""
+"""The store and the document: what an operator is shown of values and of what nodes report."""
 
 from __future__ import annotations
 

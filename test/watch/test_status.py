@@ -1,4 +1,4 @@
-"""``greenroof status``: what it prints, and its exit code, in the page's words."""
+"""``greenroof status``, in the page's words; and what hold, release and outlet request, and of whom."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Sensors on Modbus and MQTT: what counts as a reading, and what does not."""
+"""Sensors on Modbus and MQTT: what counts as a reading; totals, of which all is published."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The pump's control: states in words, commands, speeds, flows, faults of the drive, a suspend."""
+"""The pump's control: states, speeds, flows, a suspend; limits by hand; doses, once and in full."""
 
 from __future__ import annotations
 
