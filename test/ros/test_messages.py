@@ -1,4 +1,4 @@
-"""Messages as bytes, equal to the generated code's bit for bit; what a node accepts; rclpy's parts."""
+"""Messages as bytes, equal to the generated code's bit for bit; what a node accepts; rclpy."""
 
 from __future__ import annotations
 

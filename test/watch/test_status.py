@@ -1,4 +1,4 @@
-"""``greenroof status``, in the page's words; and what hold, release and outlet request, and of whom."""
+"""``greenroof status``, in the page's words; what hold, release and outlet request, of whom."""
 
 from __future__ import annotations
 

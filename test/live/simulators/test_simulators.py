@@ -1,7 +1,7 @@
-"""The simulated drive, as a program, by the driver and ``greenroof stop-drive``; the simulated valve.
+"""The simulated drive, by the driver and ``greenroof stop-drive``; the simulated valve.
 
-The driver shows how each make obeys; test_wire.py checks the driver's words against the manuals. The
-valve's relay, sensors and flows are shown by the fault campaign.
+The driver shows how each make obeys; test_wire.py checks the driver's words against the manuals.
+The valve's relay, sensors and flows are shown by the fault campaign.
 """
 
 from __future__ import annotations
