@@ -46,13 +46,14 @@ def reserved_domain() -> Iterator[int]:
 
 def environment(domain: int) -> dict[str, str]:
     """Return an environment for a separate graph on loopback."""
-    tests = Path(__file__).resolve().parent
+    rigs = Path(__file__).resolve().parent
+    places = [str(place) for place in (rigs.parents[1], rigs.parent, rigs)]
     return {
         **os.environ,
         "ROS_DOMAIN_ID": str(domain),
         "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
         "PYTHONPATH": os.pathsep.join(
-            filter(None, [str(tests.parent), str(tests), os.environ.get("PYTHONPATH", "")])
+            filter(None, [*places, os.environ.get("PYTHONPATH", "")])
         ),
     }
 

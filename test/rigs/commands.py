@@ -180,6 +180,6 @@ def _become(
 
 
 if __name__ == "__main__":
-    sys.path[0] = str(Path(__file__).resolve().parent.parent)
-    sys.path.append(str(Path(__file__).resolve().parent))
+    rigs = Path(__file__).resolve().parent
+    sys.path[:1] = map(str, (rigs.parents[1], rigs.parent, rigs))
     _serve(socket.socket(fileno=int(sys.argv[1])))
