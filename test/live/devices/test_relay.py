@@ -49,8 +49,13 @@ class Bench:
         self.speed: float | None = None
 
     def until(self, condition: Callable[[], object]) -> None:
-        """Ask for the speed until a condition holds."""
-        wait(lambda: self.exchange.request_speed(self.speed) or condition())
+        """Ask for the speed until a condition holds; after a failed start, for off."""
+        def asked() -> object:
+            failed = self.exchange.snapshot.start_failed
+            self.exchange.request_speed(None if failed else self.speed)
+            return condition()
+
+        wait(asked)
 
     @property
     def closed(self) -> bool:
