@@ -150,11 +150,6 @@ class PumpRig(Site):
             for flow, (before, after) in zip(self.flows, pairwise(self._flow_times), strict=False)
         )
 
-    @property
-    def drive_state(self) -> str:
-        """The state of the node in its last report."""
-        return str(self.watcher.values("/pump").get("drive_state", ""))
-
     def command(self, command: float, condition: Callable[[], Any], event: str) -> None:
         """Command until a condition holds."""
         self.values["/pump/command"] = command

@@ -50,12 +50,9 @@ class Bench:
 
     def until(self, condition: Callable[[], object]) -> None:
         """Ask for the speed until a condition holds; after a failed start, for off."""
-        def asked() -> object:
-            failed = self.exchange.snapshot.start_failed
-            self.exchange.request_speed(None if failed else self.speed)
-            return condition()
-
-        wait(asked)
+        wait(lambda: self.exchange.request_speed(
+            None if self.exchange.snapshot.start_failed else self.speed
+        ) or condition())
 
     @property
     def closed(self) -> bool:
