@@ -1,7 +1,7 @@
 """All private parts of rclpy that this package uses, with the reasons for using them.
 
 A new version of rclpy can remove any of these parts without notice.
-``test/ros/test_rclpy_internals.py`` uses all of them, and fails if one is missing.
+``test/ros/test_messages.py`` uses all of them, and fails if one is missing.
 """
 
 from __future__ import annotations
