@@ -423,7 +423,7 @@ def nodes() -> str | None:
     from greenroof_ros.live import external_pump, pump, sensors, valve
     from greenroof_ros.live import recorder as live_recorder
     from greenroof_ros.live import weather as live_weather
-    from greenroof_ros.live.levels import LIMITS
+    from greenroof_ros.live.live_input import LIMITS
     from greenroof_ros.nodes import alarms, controller, plant, recorder, weather
     site = read_site(default_site_file())
     declared = {

@@ -34,7 +34,7 @@ from greenroof_ros.live.devices.modbus_line import check_installed
 from greenroof_ros.live.devices.relay import RelayEndpoint
 from greenroof_ros.live.devices.sensor_file import Sensors, default_sensors, read_sensors
 from greenroof_ros.live.pumping.valve_control import TRAVEL_S
-from greenroof_ros.live.simulators.valve import FAULTS, SimulatedValve
+from greenroof_ros.live.simulators.site import FAULTS, SimulatedValve
 from greenroof_ros.simulation.options import add_site_arguments, build_run
 from greenroof_ros.simulation.run import Run
 

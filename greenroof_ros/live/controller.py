@@ -28,8 +28,7 @@ from greenroof_ros.controllers.outlet import OutletPolicy
 from greenroof_ros.controllers.protocol import set_optional
 from greenroof_ros.controllers.registry import ControllerChoice, find_controller
 from greenroof_ros.interface.conditions import Diagnosis
-from greenroof_ros.live.levels import RECOVERY, Levels, live_parameters
-from greenroof_ros.live.live_input import LiveInput, bad_inputs
+from greenroof_ros.live.live_input import RECOVERY, Levels, LiveInput, bad_inputs, live_parameters
 from greenroof_ros.live.node import LiveNode, live_command
 from greenroof_ros.live.number_file import NumberFile
 from greenroof_ros.live.upkeep import deciding_limit

@@ -19,7 +19,7 @@ from greenroof_ros.live.pumping.state_file import GUARD
 from greenroof_ros.live.supervisor import ACTUATORS_SILENT_S, SiteProcess
 from greenroof_ros.live.upkeep import silence_limit
 from greenroof_ros.ros.alarms import ROLE
-from greenroof_ros.ros.arguments import add_graph_arguments
+from greenroof_ros.ros.domain import add_graph_arguments
 from greenroof_ros.simulation.inputs import find_needs
 from greenroof_ros.simulation.options import add_controller_arguments, read_controller
 from greenroof_ros.site.file import read_site

@@ -25,15 +25,22 @@ from typing import Any
 from rcl_interfaces.srv import SetParametersAtomically
 
 from greenroof_ros.base.parameter import Parameter
+from greenroof_ros.base.times import boot_time
 from greenroof_ros.interface.conditions import Diagnosis
 from greenroof_ros.interface.states import PUMP
-from greenroof_ros.live.actuator import COMMAND, FLOW, STATE, STATE_FILE, read_fields
-from greenroof_ros.live.boot_clock import boot_time
+from greenroof_ros.live.actuator import (
+    COMMAND,
+    DRIVE_PARAMETERS,
+    FLOW,
+    STATE,
+    STATE_FILE,
+    TIMEOUT_LIMIT,
+    DriveNode,
+    read_fields,
+)
 from greenroof_ros.live.devices.drive_file import MAX_RAMP_S
 from greenroof_ros.live.devices.exchange import UNREAD_S, DriveSnapshot
-from greenroof_ros.live.drive_node import DRIVE_PARAMETERS, TIMEOUT_LIMIT, DriveNode
-from greenroof_ros.live.levels import Levels, live_parameters
-from greenroof_ros.live.live_input import LiveInput
+from greenroof_ros.live.live_input import Levels, LiveInput, live_parameters
 from greenroof_ros.live.node import live_command
 from greenroof_ros.live.pumping.interlocks import Decision
 from greenroof_ros.live.pumping.limits import Observation, PumpSettings, pump_parameters

@@ -14,11 +14,11 @@ from functools import partial
 from pathlib import Path
 
 from greenroof_ros.base.parameter import Parameter
+from greenroof_ros.base.times import boot_time
 from greenroof_ros.interface.conditions import Diagnosis
-from greenroof_ros.live.boot_clock import boot_time
 from greenroof_ros.live.devices.sensor import ModbusReader, MqttReader, SensorLine
 from greenroof_ros.live.devices.sensor_file import QUANTITIES, TANKS, ModbusSensor, read_sensors
-from greenroof_ros.live.levels import LIMITS
+from greenroof_ros.live.live_input import LIMITS
 from greenroof_ros.live.node import LiveNode
 from greenroof_ros.ros.diagnostics import ERROR, WARN
 from greenroof_ros.ros.parameters import declare

@@ -28,8 +28,7 @@ from greenroof_ros.live.upkeep import Restarts, send_beat
 from greenroof_ros.live.weather import LiveWeatherNode
 from greenroof_ros.nodes.alarms import AlarmsNode
 from greenroof_ros.ros.errors import print_failure
-from greenroof_ros.ros.executable import parse_own_arguments, run_nodes
-from greenroof_ros.ros.spin import end_nodes
+from greenroof_ros.ros.spin import end_nodes, parse_own_arguments, run_nodes
 
 Make = Callable[[], LiveNode | AlarmsNode]
 

@@ -24,12 +24,18 @@ from typing import Any
 from rcl_interfaces.srv import SetParametersAtomically
 
 from greenroof_ros.base.parameter import Parameter
+from greenroof_ros.base.times import boot_time
 from greenroof_ros.interface.states import VALVE
-from greenroof_ros.live.actuator import FLOW, STATE_FILE, read_fields
-from greenroof_ros.live.boot_clock import boot_time
+from greenroof_ros.live.actuator import (
+    DRIVE_PARAMETERS,
+    FLOW,
+    STATE_FILE,
+    TIMEOUT_LIMIT,
+    DriveNode,
+    read_fields,
+)
 from greenroof_ros.live.devices.exchange import UNREAD_S
-from greenroof_ros.live.drive_node import DRIVE_PARAMETERS, TIMEOUT_LIMIT, DriveNode
-from greenroof_ros.live.levels import Levels, live_parameters
+from greenroof_ros.live.live_input import Levels, live_parameters
 from greenroof_ros.live.node import live_command
 from greenroof_ros.live.pumping.interlocks import Decision
 from greenroof_ros.live.pumping.state_file import MAX_TIME

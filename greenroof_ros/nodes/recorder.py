@@ -20,10 +20,10 @@ from greenroof_ros.interface.states import RECORDER
 from greenroof_ros.interface.topics import recorded_topics
 from greenroof_ros.results.bag_write import BagWriter
 from greenroof_ros.ros.errors import LockstepError
-from greenroof_ros.ros.executable import node_command
 from greenroof_ros.ros.lockstep import CLOCK, LockstepNode
 from greenroof_ros.ros.messages import decode_clock, decoder
 from greenroof_ros.ros.parameters import declare, site_file
+from greenroof_ros.ros.spin import node_command
 
 
 def parameters(site: object = None) -> list[Parameter]:

@@ -24,10 +24,9 @@ from greenroof_ros.interface.topics import Topic
 from greenroof_ros.ros.diagnostics import NodeDiagnostics
 from greenroof_ros.ros.errors import MalformedMessageError
 from greenroof_ros.ros.inputs import Input
-from greenroof_ros.ros.messages import encoder, message_class, qos_profile
+from greenroof_ros.ros.messages import encoder, message_class, qos_profile, raw_publish
 from greenroof_ros.ros.parameters import declare, site_file
 from greenroof_ros.ros.publishers import Publishers
-from greenroof_ros.ros.rclpy_internals import raw_publish
 from greenroof_ros.site.file import read_site
 from greenroof_ros.site.site import Site
 

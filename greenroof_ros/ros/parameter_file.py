@@ -14,8 +14,7 @@ from typing import Any
 
 from greenroof_ros.base.command_line import refuse
 from greenroof_ros.base.errors import ConfigurationError, suggest_names
-from greenroof_ros.base.parameter import Parameter
-from greenroof_ros.base.parameter_sections import read_sections
+from greenroof_ros.base.parameter import Parameter, read_sections
 from greenroof_ros.controllers.registry import OF_EVERY_NODE, ControllerChoice
 from greenroof_ros.site.file import read_site
 

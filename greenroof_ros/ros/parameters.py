@@ -17,8 +17,7 @@ from rclpy.node import Node
 
 from greenroof_ros.base.errors import ConfigurationError, suggest_names
 from greenroof_ros.base.files import default_site_file
-from greenroof_ros.base.parameter import Parameter
-from greenroof_ros.base.parameter_sections import read_sections
+from greenroof_ros.base.parameter import Parameter, read_sections
 from greenroof_ros.ros.parameter_file import check_value
 from greenroof_ros.site.horizon import MAX_HORIZON
 

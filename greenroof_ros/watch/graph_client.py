@@ -24,7 +24,7 @@ from greenroof_ros.base.errors import FailedError
 from greenroof_ros.interface.states import PUMP, VALVE
 from greenroof_ros.interface.topics import Qos, read_topics
 from greenroof_ros.ros.domain import SHUTDOWN_S, join
-from greenroof_ros.ros.rclpy_internals import take_messages
+from greenroof_ros.ros.messages import take_messages
 from greenroof_ros.ros.reports import read_statuses
 
 # How many messages on a topic can wait for the next poll: 1 s at 60 times real time.

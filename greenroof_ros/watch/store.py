@@ -20,10 +20,9 @@ from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.files import default_site_file
 from greenroof_ros.base.text import clean_text
 from greenroof_ros.base.times import clock_time
-from greenroof_ros.interface.alarm import Alarm
+from greenroof_ros.interface.alarm import Alarm, read_status
 from greenroof_ros.interface.states import PLANT, PUMP
 from greenroof_ros.interface.topics import read_topics
-from greenroof_ros.ros.alarm_status import read_status
 from greenroof_ros.ros.reports import NodeReport, Reports, Status
 from greenroof_ros.site.file import read_site
 from greenroof_ros.watch.lines import History, Steps, read_steps

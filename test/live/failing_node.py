@@ -13,7 +13,7 @@ from functools import partial
 from greenroof_ros.live import station, upkeep
 from greenroof_ros.live.node import LiveNode, spin
 from greenroof_ros.nodes.alarms import AlarmsNode
-from greenroof_ros.ros.executable import run_nodes
+from greenroof_ros.ros.spin import run_nodes
 
 
 class Failing(LiveNode):

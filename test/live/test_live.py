@@ -36,7 +36,7 @@ from ros_rig import (
 )
 from rosbags.highlevel import AnyReader
 
-from greenroof_ros.live.live_topics import read_live_topics
+from greenroof_ros.interface.topics import read_live_topics
 from greenroof_ros.live.weather import _find_monthly_mean
 from greenroof_ros.site.horizon import growing_steps
 

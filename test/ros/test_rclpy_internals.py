@@ -16,8 +16,7 @@ from rclpy.duration import Duration  # noqa: E402
 from std_msgs.msg import Float64  # noqa: E402
 
 from greenroof_ros.interface.topics import read_topics  # noqa: E402
-from greenroof_ros.ros.messages import decoder, encoder, qos_profile  # noqa: E402
-from greenroof_ros.ros.rclpy_internals import raw_publish, take_messages  # noqa: E402
+from greenroof_ros.ros.messages import decoder, encoder, qos_profile, raw_publish, take_messages  # noqa: E402  # noqa: E402
 from greenroof_ros.ros.spin import start_receiving  # noqa: E402
 
 LEVEL = read_topics()["/roof/level"]

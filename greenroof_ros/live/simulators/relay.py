@@ -15,9 +15,8 @@ import time
 from collections.abc import Iterator
 from typing import Any
 
-from greenroof_ros.base.mqtt import Broker, make_client
+from greenroof_ros.base.mqtt import Broker, make_client, parse_path
 from greenroof_ros.live.devices.drive_file import RelayFile, RelayMessage
-from greenroof_ros.live.devices.json_path import parse_path
 
 
 class SimulatedRelay:

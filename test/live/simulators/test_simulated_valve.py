@@ -13,7 +13,7 @@ from places import CONFIG
 from simulators import Simulator, until
 
 from greenroof_ros.live.devices.modbus_line import ModbusLine, Serial, decode, parse_address
-from greenroof_ros.live.simulators.valve import LEAK
+from greenroof_ros.live.simulators.site import LEAK
 
 _KEYS = {"register": 0, "kind": "input", "type": "float32", "word_order": "high first",
          "scale": 1.0, "low": 0.0, "high": 10.0}
