@@ -11,7 +11,7 @@ from typing import Any
 
 from greenroof_ros.base.command_line import EXIT_DONE, EXIT_FAILED, EXIT_INTERRUPTED
 from greenroof_ros.base.console import ProgressBar
-from greenroof_ros.base.processes import InterruptedRun, Signals
+from greenroof_ros.base.processes import InterruptedRun, Signals, Watchdog
 from greenroof_ros.base.standard_error import LINES, print_line
 from greenroof_ros.base.times import hours_minutes_seconds
 from greenroof_ros.controllers.registry import EXTERNAL
@@ -25,11 +25,9 @@ from greenroof_ros.ros.alarms import ROLE
 from greenroof_ros.ros.domain import lock_bringup, ros_arguments
 from greenroof_ros.ros.errors import explain
 from greenroof_ros.ros.spin import destroy_nodes, end_nodes, ros, spin
-from greenroof_ros.ros.watchdog import Watchdog
 from greenroof_ros.simulation import screen, summary
 from greenroof_ros.simulation.directory import make_run_directory, write_configuration
 from greenroof_ros.simulation.run import Run
-
 
 # How long messages of a node that is not composed here are still received after the last tick (s):
 # a node that publishes twice per tick can be found only then.

@@ -44,8 +44,7 @@ from greenroof_ros.live.pumping.limits import check_command_limit
 from greenroof_ros.live.pumping.state_file import MAX_TIME, StateFile
 from greenroof_ros.physics.pump import STANDSTILL
 from greenroof_ros.ros.diagnostics import ERROR, OK, WARN
-from greenroof_ros.ros.parameter_file import check_value
-from greenroof_ros.ros.parameters import declare
+from greenroof_ros.ros.parameters import check_value, declare
 from greenroof_ros.site.site import Site
 
 STATE_FILE = Parameter(

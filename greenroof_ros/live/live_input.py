@@ -23,8 +23,8 @@ from greenroof_ros.live.pumping.input_rules import (
     expected_movements,
     roof_bounds,
 )
-from greenroof_ros.ros.inputs import Input
-from greenroof_ros.ros.publishers import Publishers
+from greenroof_ros.ros.graph_node import Publishers
+from greenroof_ros.ros.messages import Input
 from greenroof_ros.site.site import Site
 
 # A node's name and its other endpoints may be discovered this long after its publisher (s).

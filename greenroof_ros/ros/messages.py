@@ -1,4 +1,4 @@
-"""Topics of the interface in ROS terms: message class, quality of service, and serialised values.
+"""Topics of the interface in ROS terms: class, quality of service, serialised values, and inputs.
 
 Messages are serialised in the wire format (CDR, XCDR version 1). This module encodes and decodes
 numbers, rows of numbers and the clock in a third of the time that the generated code of the message
@@ -29,7 +29,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message, serialize_message
 from std_msgs.msg import Float64MultiArray, String
 
-from greenroof_ros.interface.topics import Qos
+from greenroof_ros.interface.topics import Qos, Topic
 from greenroof_ros.ros.errors import MalformedMessageError
 
 _HEADER = b"\x00\x01\x00\x00"  # little-endian, no options
@@ -196,6 +196,66 @@ def decode_numbers(message: bytes) -> WithFront:
             f"the layout {shape} does not match the number of values, {len(data)}"
         )
     return WithFront(front, np.asarray(data).reshape(shape))
+
+
+class Input:
+    """A topic that a node subscribes to, with the latest value received.
+
+    A value that is not finite, or is outside the range in the interface, is rejected: the input
+    then has the value 0, or no numbers, until the next message arrives. A message that is malformed
+    is rejected as well, since any program may publish on the topic.
+
+    Attributes:
+        topic: the topic in the interface.
+        name: the topic's full name in ROS, with its namespace.
+        value: the latest value: nanoseconds for a clock, otherwise a number or an array of numbers.
+        refusal: the reason why the latest value was rejected; empty if the node may act on it.
+        refused: number of values rejected so far.
+    """
+
+    def __init__(self, topic: Topic, name: str) -> None:
+        """Create an input with the value 0.
+
+        Args:
+            topic: the topic in the interface.
+            name: the topic's full name in ROS, with its namespace.
+        """
+        self.topic = topic
+        self.name = name
+        self.value: Any = 0.0
+        self.refusal = ""
+        self.refused = 0
+        self._decode = decoder(self.topic.type)
+        self._is_array = "Array" in topic.type
+
+    @property
+    def good(self) -> bool:
+        """Whether the node may act on the latest value."""
+        return not self.refusal
+
+    def receive(self, message: bytes) -> None:
+        """Store the value of a message, or 0 or no numbers if the value has to be rejected."""
+        low, high = self.topic.low, self.topic.high
+        try:
+            value = self._decode(message)
+        except MalformedMessageError as error:
+            self._refuse(math.inf, str(error))
+            return
+        if not self._is_array:
+            wrong: Any = () if low <= value <= high else (value,)  # it is wrong if it is NaN
+        elif isinstance(value, np.ndarray):
+            wrong = value[~((low <= value) & (value <= high))]
+        else:  # about ten numbers: numpy would take longer
+            wrong = [number for number in value if not low <= number <= high]
+        if len(wrong):
+            worst = float(wrong[0])
+            self._refuse(worst, f"{worst!r}; it {self.topic.range.expected()}")
+        else:
+            self.value, self.refusal = value, ""
+
+    def _refuse(self, value: float, why: str) -> None:
+        self.refused += 1
+        self.value, self.refusal = array("d") if self._is_array else 0.0, why
 
 
 # --- private parts of rclpy -----------------------------------------------------------------------

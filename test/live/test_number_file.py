@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from refusals import refusal
 
-from greenroof_ros.live.number_file import NumberFile
+from greenroof_ros.live.controller import NumberFile
 
 
 def test_what_is_no_mapping_of_numbers_is_refused(tmp_path: Path) -> None:

@@ -27,8 +27,8 @@ from std_msgs.msg import (  # noqa: E402
 
 from greenroof_ros.interface.topics import read_topics  # noqa: E402
 from greenroof_ros.ros.errors import MalformedMessageError  # noqa: E402
-from greenroof_ros.ros.inputs import Input  # noqa: E402
 from greenroof_ros.ros.messages import (  # noqa: E402
+    Input,
     WithFront,
     decoder,
     encoder,
