@@ -9,7 +9,7 @@ from collections import Counter
 from pathlib import Path
 from typing import Any
 
-from greenroof_ros.base.command_line import EXIT_DONE, EXIT_FAILED, EXIT_INTERRUPTED
+from greenroof_ros.base.command_line import EXIT_DONE, EXIT_FAILED, EXIT_INTERRUPTED, explain
 from greenroof_ros.base.console import ProgressBar
 from greenroof_ros.base.processes import InterruptedRun, Signals, Watchdog
 from greenroof_ros.base.standard_error import LINES, print_line
@@ -23,7 +23,6 @@ from greenroof_ros.nodes.recorder import RecorderNode
 from greenroof_ros.nodes.weather import RecordedWeather
 from greenroof_ros.ros.alarms import ROLE
 from greenroof_ros.ros.domain import lock_bringup, ros_arguments
-from greenroof_ros.ros.errors import explain
 from greenroof_ros.ros.spin import destroy_nodes, end_nodes, ros, spin
 from greenroof_ros.simulation import screen, summary
 from greenroof_ros.simulation.directory import make_run_directory, write_configuration

@@ -58,7 +58,6 @@ from greenroof_ros.results.alarm_file import read_alarms
 from greenroof_ros.results.versions import versions
 from greenroof_ros.ros.alarms import ROLE
 from greenroof_ros.ros.domain import add_graph_arguments, lock_bringup, prepare_ros, ros_arguments
-from greenroof_ros.ros.errors import describe
 from greenroof_ros.simulation import summary
 from greenroof_ros.simulation.directory import write_parameters
 from greenroof_ros.simulation.inputs import find_needs
@@ -423,7 +422,8 @@ def _supervise(supervisor: LiveSupervisor, signals: Signals) -> NoReturn:
 def _end(write: Callable[[str, str], None], may_run: str, error: Exception) -> int:
     """Record and print the reason why the site ended; return the exit code."""
     is_done = isinstance(error, InterruptedRun) and not may_run
-    reason = str(error) if isinstance(error, (InterruptedRun, NodeFailed)) else describe(error)
+    known = isinstance(error, (InterruptedRun, NodeFailed))
+    reason = str(error) if known else describe_error(error)
     reason = "; ".join(filter(None, (reason, may_run)))
     write(summary.DONE if is_done else summary.FAILED, reason)
     DISK.wait(_WRITTEN_S)

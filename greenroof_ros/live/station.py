@@ -19,7 +19,7 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 
-from greenroof_ros.base.command_line import Parser, command
+from greenroof_ros.base.command_line import Parser, command, print_failure
 from greenroof_ros.base.standard_error import Lines
 from greenroof_ros.live.node import LiveNode, spin
 from greenroof_ros.live.recorder import LiveRecorderNode
@@ -27,7 +27,6 @@ from greenroof_ros.live.sensors import sensor_makers
 from greenroof_ros.live.upkeep import Restarts, send_beat
 from greenroof_ros.live.weather import LiveWeatherNode
 from greenroof_ros.nodes.alarms import AlarmsNode
-from greenroof_ros.ros.errors import print_failure
 from greenroof_ros.ros.spin import end_nodes, parse_own_arguments, run_nodes
 
 Make = Callable[[], LiveNode | AlarmsNode]

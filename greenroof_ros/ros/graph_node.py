@@ -17,12 +17,11 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 
-from greenroof_ros.base.errors import ConfigurationError
+from greenroof_ros.base.errors import ConfigurationError, MalformedMessageError
 from greenroof_ros.base.files import as_started
 from greenroof_ros.interface.states import ENDED, FINISHED, READY, STARTING
 from greenroof_ros.interface.topics import Qos, Topic
 from greenroof_ros.ros.diagnostics import NodeDiagnostics
-from greenroof_ros.ros.errors import MalformedMessageError
 from greenroof_ros.ros.messages import (
     Input,
     encoder,

@@ -37,10 +37,9 @@ from typing import Any
 
 from rclpy.duration import Duration
 
-from greenroof_ros.base.errors import OccupiedError
+from greenroof_ros.base.errors import LockstepError, OccupiedError
 from greenroof_ros.interface.states import FINISHED, PLANT
 from greenroof_ros.interface.topics import read_topics
-from greenroof_ros.ros.errors import LockstepError
 from greenroof_ros.ros.graph_node import GraphNode, Publishers
 from greenroof_ros.ros.messages import Input, decoder, qos_profile
 

@@ -8,7 +8,7 @@ identical runs write identical bags. All messages are written in little-endian b
 every machine that runs ROS 2 uses; a number or a clock in another order is malformed. The generated
 code decodes all other messages, such as those with a layout. A publisher may send any bytes: if
 they do not form a message of the type, decoding raises a
-:class:`~greenroof_ros.ros.errors.MalformedMessageError`, and no other error.
+:class:`~greenroof_ros.base.errors.MalformedMessageError`, and no other error.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message, serialize_message
 from std_msgs.msg import Float64MultiArray, String
 
+from greenroof_ros.base.errors import MalformedMessageError
 from greenroof_ros.interface.topics import Qos, Topic
-from greenroof_ros.ros.errors import MalformedMessageError
 
 _HEADER = b"\x00\x01\x00\x00"  # little-endian, no options
 _NUMBER = struct.Struct("<4sd")

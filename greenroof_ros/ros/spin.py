@@ -19,10 +19,16 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 from rclpy.utilities import remove_ros_args
 
-from greenroof_ros.base.command_line import EXIT_DONE, EXIT_FAILED, Parser, command
+from greenroof_ros.base.command_line import (
+    EXIT_DONE,
+    EXIT_FAILED,
+    Parser,
+    command,
+    explain,
+    print_failure,
+)
 from greenroof_ros.base.processes import InterruptedRun, Signals
 from greenroof_ros.ros.domain import SHUTDOWN_S, prepare_ros
-from greenroof_ros.ros.errors import explain, print_failure
 from greenroof_ros.ros.graph_node import GraphNode
 from greenroof_ros.ros.lockstep import LockstepNode
 from greenroof_ros.ros.messages import take_messages

@@ -25,8 +25,8 @@ from std_msgs.msg import (  # noqa: E402
     MultiArrayLayout,
 )
 
+from greenroof_ros.base.errors import MalformedMessageError  # noqa: E402
 from greenroof_ros.interface.topics import read_topics  # noqa: E402
-from greenroof_ros.ros.errors import MalformedMessageError  # noqa: E402
 from greenroof_ros.ros.messages import (  # noqa: E402
     Input,
     WithFront,
