@@ -20,6 +20,7 @@ from greenroof_ros.base.command_line import (
     EXIT_FAILED,
     Parser,
     add_site,
+    describe_error,
     make_number_type,
     refuse,
 )
