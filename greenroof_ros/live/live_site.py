@@ -182,7 +182,7 @@ class LiveSite:
                 # A controller cannot use what another one has learned.
                 "state_file": str(state / f"{name}.json"),
             }),
-            **{QUANTITIES[each].live_publishers[0]: (f"{_LIVE}.sensors", {}) for each in sensors},
+            **{QUANTITIES[each].live_publishers[0]: (f"{_LIVE}.station", {}) for each in sensors},
             RECORDER: (f"{_LIVE}.recorder", {
                 "directory": str(state / "bag"), "total_limit": arguments.bag_limit,
             }),
