@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Collection, Iterable, Sequence
 from typing import Any
 
@@ -13,8 +14,10 @@ from rich.table import Table
 from rich.text import Text
 
 from greenroof_ros.base.processes import Signals
-from greenroof_ros.base.standard_error import ProgressLines
 from greenroof_ros.base.text import escape
+
+# How often progress is printed without a terminal (s), for the first time after this time.
+_EVERY_S = 10.0
 
 
 class PlainConsole(Console):
@@ -81,7 +84,7 @@ class ProgressBar(Progress):
             refresh_per_second=2,  # its thread competes with the run
         )
         self._task = self.add_task("", total=1.0)
-        self._lines, self._signals = ProgressLines(self.print_line), signals
+        self._signals, self._due = signals, time.monotonic() + _EVERY_S
 
     def print_line(self, text: str) -> None:
         """Print a line above the bar."""
@@ -96,5 +99,6 @@ class ProgressBar(Progress):
         if self._signals is not None:
             self._signals.check()
         self.update(self._task, description=escape(text), completed=share)
-        if self.disable:
-            self._lines.update(f"{text}: {share:.0%}")
+        if self.disable and (now := time.monotonic()) >= self._due:
+            self._due = now + _EVERY_S
+            self.print_line(f"{text}: {share:.0%}")
