@@ -33,6 +33,7 @@ from greenroof_ros.live.devices.drive_file import LIMIT_S, find_drive_file
 from greenroof_ros.live.devices.exchange import (
     CHOICE,
     RESET_S,
+    UNREAD_S,
     DriveExchange,
     DriveSnapshot,
     read_endpoint,
@@ -51,9 +52,9 @@ STATE_FILE = Parameter(
     "state_file", "", meaning="file that preserves holds, faults and the use in the last 24 h; if "
         "empty, greenroof_ros/NAME.json in $XDG_STATE_HOME or ~/.local/state",
 )
-COMMAND, FLOW, STATE = "/pump/command", "/pump/flow", "/pump/state"
+COMMAND, FLOW = "/pump/command", "/pump/flow"
 COMMAND_LIMIT = LIMITS[COMMAND]
-_STATES = {PUMP: STATE, VALVE: "/outlet/state"}
+_STATES = {PUMP: "/pump/state", VALVE: "/outlet/state"}
 _UNKNOWN = {PUMP: "standstill_unknown", VALVE: "valve_may_be_open"}
 # Interval between two decisions (s).
 _STEP_S = 0.1
@@ -102,6 +103,7 @@ class ActuatorNode(LiveNode):
         self._stepped, self._reported_at = boot_time(), -math.inf
         limit = self.values[COMMAND_LIMIT.name]
         check_command_limit(limit, self.site.tau, f"parameter {COMMAND_LIMIT.name}")
+        self.open_outputs(_STATES[role])
         self.open_service("stop", SetBool, self._stop)
         self.open_service("release", Trigger, lambda request: self._release())
         self.open_service("hold", SetParametersAtomically, self._hold)
@@ -298,7 +300,7 @@ LOCAL_SETTINGS = Parameter(
     "local_settings_stop_the_pump", False, meaning="confirmation that the drive stopped the "
         "pump in a test when the bus was lost, if its settings cannot be read",
 )
-DRIVE_PARAMETERS = (*CHOICE, TIMEOUT_LIMIT, LOCAL_SETTINGS)
+DRIVE_PARAMETERS = (*CHOICE, TIMEOUT_LIMIT, LOCAL_SETTINGS, STATE_FILE)
 # The codes that need nobody at once.
 _WARNINGS = {"drive_local", "second_master", "start_failed", "drive_guards_later"}
 
@@ -309,6 +311,8 @@ class DriveNode(ActuatorNode):
     Attributes:
         observed: topics of the observations, by the names of their fields.
         parts: names of the observations that each part of the node reports on.
+        stops_after_s: time after which a drive that does not respond is told to stop by its own
+            timeout (s).
     """
 
     observed: Mapping[str, str]
@@ -333,6 +337,7 @@ class DriveNode(ActuatorNode):
             self.endpoint, timeout_limit_s=values[TIMEOUT_LIMIT.name],
             stops_locally=values[LOCAL_SETTINGS.name],
         )
+        self.stops_after_s = UNREAD_S + values[TIMEOUT_LIMIT.name]
         self.reports.hardware = f"{self.endpoint.file}, {self.endpoint}"
         self._resetting_until = -math.inf
 

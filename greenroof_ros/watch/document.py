@@ -26,13 +26,7 @@ from greenroof_ros.interface.states import PUMP, VALVE
 from greenroof_ros.ros.alarms import describe_alarm
 from greenroof_ros.watch.lines import AHEAD_S, END_S, STRETCH_NS
 from greenroof_ros.watch.store import FASTEST, GAP_S, LINES, TICKS, GraphStore, number_in, text_of
-from greenroof_ros.watch.tiles import (
-    UNKNOWN,
-    Tile,
-    find_display,
-    make_tiles,
-    write_litres,
-)
+from greenroof_ros.watch.tiles import UNKNOWN, Tile, find_display, make_tiles, write_litres
 
 # How much of the past the charts can show (h), and the approximate number of stretches in a line.
 HOURS, _POINTS = (3, 12, 48, 168), 300
