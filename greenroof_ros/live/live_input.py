@@ -49,7 +49,8 @@ class LivePublishers(Publishers):
             optional: whether the node acts without the topic.
         """
         required = replace(topic.qos, durability="volatile", depth=1)
-        super().__init__(node, topic, required, optional=optional)
+        super().__init__(node, topic, required)
+        self.optional = optional
         self._by_lease = math.isfinite(self.required.lease_s)
         self._alive = 0  # counted only if there is a lease
         self._incompatible_at = -math.inf  # when the middleware last reported an incompatible one

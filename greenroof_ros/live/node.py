@@ -65,13 +65,6 @@ class LiveNode(GraphNode):
 
     # --- to override ------------------------------------------------------------------------
 
-    def on_start(self) -> None:
-        """Start what the node needs; called once, when all nodes of the process have been made.
-
-        Raises:
-            ConfigurationError: if a library is missing.
-        """
-
     def on_inputs(self) -> None:
         """Act at the end of a period; see :attr:`good`."""
 

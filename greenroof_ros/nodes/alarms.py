@@ -198,9 +198,6 @@ class AlarmsNode(GraphNode):
 
     wait_s = _JUDGE_S
 
-    def on_start(self) -> None:
-        """Do nothing, as the node needs nothing more."""
-
     def report_state(self, **values: object) -> None:
         """Report nothing: /alarms itself shows that the node runs."""
 

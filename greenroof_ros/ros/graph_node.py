@@ -34,6 +34,13 @@ from greenroof_ros.ros.parameters import declare, site_file
 from greenroof_ros.site.file import read_site
 from greenroof_ros.site.site import Site
 
+# The longest time for which an ending node waits for its readers (s): a killed reader stays
+# matched.
+_FLUSH_S = 1.0
+# How often a node looks for its peers and reports its state (s): counting publishers takes at least
+# a tenth of a millisecond, and bringup kills a silent pump node after 2 s.
+_REPORT_S = 0.25
+
 
 class Publishers:
     """The publishers of a topic, including superfluous and incompatible ones.
@@ -49,18 +56,17 @@ class Publishers:
         optional: whether the subscribing node acts without the topic.
     """
 
-    def __init__(
-        self, node: Node, topic: Topic, required: Qos, *, optional: bool = False
-    ) -> None:
+    optional = False
+
+    def __init__(self, node: Node, topic: Topic, required: Qos) -> None:
         """Create an object for the publishers that a subscription receives messages from.
 
         Args:
             node: the subscribing node.
             topic: the topic in the interface.
             required: the quality of service of the subscription.
-            optional: whether the subscribing node acts without the topic.
         """
-        self.topic, self.optional = topic, optional
+        self.topic = topic
         self.full_name: str = node.resolve_topic_name(topic.graph_name)
         self.required = required
         self._node = node
@@ -115,14 +121,6 @@ def name_owner(info: Any) -> str:
     return str(info.node_name).replace("_NODE_NAME_UNKNOWN_", "a node whose name is unknown")
 
 
-# The longest time for which an ending node waits for its readers (s): a killed reader stays
-# matched.
-_FLUSH_S = 1.0
-# How often a node looks for its peers and reports its state (s): counting publishers takes at least
-# a tenth of a millisecond, and bringup kills a silent pump node after 2 s.
-_REPORT_S = 0.25
-
-
 class GraphNode(Node):
     """A node that uses topics of the interface and reports its state; subclasses add the actions.
 
@@ -165,6 +163,13 @@ class GraphNode(Node):
         self._always: dict[str, Any] = {}
 
     # --- to override ------------------------------------------------------------------------
+
+    def on_start(self) -> None:
+        """Start what the node needs; called once at a live site, when its process has all nodes.
+
+        Raises:
+            ConfigurationError: if a library is missing.
+        """
 
     def on_timer(self, now: float) -> None:
         """Perform the actions that depend on the steady clock; called 20 times a second."""

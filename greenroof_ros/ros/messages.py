@@ -269,8 +269,7 @@ def raw_publish(publisher: Any) -> Callable[[bytes], None]:
     For every message, rclpy's own ``publish`` compares types and locks the publisher against
     destruction by another thread; these steps take a quarter of the time of ``publish``.
     """
-    publish: Callable[[bytes], None] = publisher.handle.publish_raw
-    return publish
+    return publisher.handle.publish_raw
 
 
 def take_messages(subscription: Any) -> Iterator[tuple[bytes, Any]]:
