@@ -10,7 +10,7 @@ import numpy as np
 
 import greenroof_ros as gr
 
-SCENARIO, TICKS = "season-valve", 3  # a decision in every quarter of an hour
+SCENARIO, TICKS = "season-valve", 3  # in training, a decision in every quarter of an hour
 NAMES = "level of the roof", "level of the cistern", "levels less per mm of rain"
 
 
@@ -51,4 +51,4 @@ def learn(rounds=9, candidates=16, best=5, episodes=3, days=90):
 
 
 if __name__ == "__main__":
-    print(gr.score(learn(), SCENARIO, decision_ticks=TICKS))
+    print(gr.score(learn(), SCENARIO))  # which decides in every tick

@@ -8,10 +8,8 @@ sun's height.
 
 from __future__ import annotations
 
-import gzip
 import json
 import math
-import time
 from datetime import datetime, timezone
 from http.server import BaseHTTPRequestHandler
 from typing import Any
@@ -47,7 +45,7 @@ class ForecastService(HttpService):
 
     Attributes:
         fault: what is wrong now, and can be changed at any time: connections are "refused";
-            answers are "slow" (a few bytes per second) or have a "slow head", are "truncated",
+            answers are "slow" (a few bytes per second) or have a "slow head", are cut in "half",
             "broken" (no JSON), a "limit" (429 Too Many Requests) or an "error" (503); a series has
             the wrong "length"; every value is "missing". Without a fault it is "none".
     """
@@ -71,47 +69,16 @@ class ForecastService(HttpService):
         fault = self.fault
         if fault == "refused":
             request.close_connection = True
-            return
-        if fault == "limit":
+        elif fault == "limit":
             reason = b'{"error":true,"reason":"Minutely API request limit exceeded."}'
-            self._send(request, 429, reason, {"Retry-After": "120"})
-            return
-        if fault == "error":
-            self._send(request, 503, b"upstream is down")
-            return
-        members = _MEMBERS if place.path.endswith("ensemble") else 1
-        answer = self.answer(parse_qs(place.query), members)
-        if fault == "broken":
-            answer = b"<html>please log in to the hotel's network</html>"
-        self._send(request, 200, answer)
-
-    def _send(
-        self, request: BaseHTTPRequestHandler, code: int, body: bytes,
-        headers: dict[str, str] | None = None,
-    ) -> None:
-        """Send an answer, compressed if requested, and spoiled by the present fault."""
-        fault = self.fault if code == 200 else NONE
-        if fault == "slow head":
-            for byte in b"HTTP/1.1 200 OK\r\nX: ":
-                request.wfile.write(bytes([byte]))
-                time.sleep(0.4)
-        request.send_response_only(code)
-        if body and "gzip" in request.headers.get("Accept-Encoding", ""):
-            body = gzip.compress(body)
-            request.send_header("Content-Encoding", "gzip")
-        request.send_header("Content-Type", "application/json; charset=utf-8")
-        request.send_header("Content-Length", str(len(body)))
-        for name, value in (headers or {}).items():
-            request.send_header(name, value)
-        request.end_headers()
-        if fault == "truncated":
-            body = body[: len(body) // 2]
-            request.close_connection = True
-        step = 8 if fault == "slow" else len(body) or 1
-        for at in range(0, len(body), step):
-            request.wfile.write(body[at : at + step])
-            if fault == "slow":
-                time.sleep(1)
+            self.send(request, 429, reason, {"Retry-After": "120"})
+        elif fault == "error":
+            self.send(request, 503, b"upstream is down")
+        elif fault == "broken":
+            self.send(request, 200, b"<html>please log in to the hotel's network</html>")
+        else:
+            members = _MEMBERS if place.path.endswith("ensemble") else 1
+            self.send(request, 200, self.answer(parse_qs(place.query), members), fault=fault)
 
     def answer(self, query: dict[str, list[str]], members: int) -> bytes:
         """Return the answer to a query, as JSON."""

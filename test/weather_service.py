@@ -90,11 +90,7 @@ class WeatherService(HttpService):
         else:
             status, headers = 200, {}
             body = _NONSENSE.get(fault) or self.answer(path.path, query, fault)
-        request.send_response(status)
-        for name, value in {**headers, "Content-Length": str(len(body))}.items():
-            request.send_header(name, value)
-        request.end_headers()
-        request.wfile.write(body[: len(body) // 2] if fault == "half" else body)
+        self.send(request, status, body, headers, fault if fault == "half" else "")
         request.close_connection = True
 
     def answer(self, path: str, query: dict[str, str], fault: str = "") -> bytes:

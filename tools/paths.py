@@ -11,4 +11,4 @@ from pathlib import Path
 
 CHECKOUT = Path(__file__).resolve().parent.parent
 
-sys.path[:0] = [str(CHECKOUT), str(CHECKOUT / "test"), str(CHECKOUT / "tools")]
+sys.path[:0] = [str(CHECKOUT / place) for place in ("", "test", "test/rigs", "tools")]

@@ -270,13 +270,13 @@ def score(
     for name in parameters.keys() & INPUTS:
         raise ConfigurationError("is fixed by the scenario", key=name, value=parameters[name])
     draws = [None] if seeds is None else range(1, seeds + 1) if isinstance(seeds, int) else seeds
-    drawn = [{} if draw is None else {"forecast_seed": draw} for draw in draws]
     if hasattr(controller, "predict") and not isinstance(controller, type):
-        results = [_play(controller, known, {**parameters, **inputs}) for inputs in drawn]
+        results = [_play(controller, known, {**parameters, "draw": draw}) for draw in draws]
         name = type(controller).__name__
     else:
         choice = choose_controller(controller)
         warn(note_arrays(choice.kind), level=3)
+        drawn = [{} if draw is None else {"forecast_seed": draw} for draw in draws]
         results = [
             simulate_run(make_inputs(choice, {**known.inputs, **inputs, **parameters}).build())
             for inputs in drawn

@@ -260,7 +260,7 @@ class Input:
 
 # --- private parts of rclpy -----------------------------------------------------------------------
 # All that this package uses. A new version of rclpy can remove any of them without notice:
-# test/ros/test_rclpy_internals.py uses all of them, and fails if one is missing.
+# test/ros/test_messages.py uses all of them, and fails if one is missing.
 
 
 def raw_publish(publisher: Any) -> Callable[[bytes], None]:

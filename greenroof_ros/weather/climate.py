@@ -17,8 +17,7 @@ class Climate:
     """How the climate of a run differs from that of its record."""
 
     rain_factor: float = entry(
-        "factor by which all rain of the record is multiplied, such as 1.2 for a climate with 20 % "
-        "more rain", 0.0, 10.0, unit="1", default=1.0,
+        "factor by which all rain of the record is multiplied, for another climate", 0.0, 10.0, unit="1", default=1.0,
     )
     temperature_change: float = entry(
         "difference that is added to all temperatures of the record; the relative humidity stays",

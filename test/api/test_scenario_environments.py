@@ -122,6 +122,8 @@ def test_seeds_have_a_mean_and_a_spread() -> None:
         for draw in (None, 1, 3)
     }
     assert first[None] == first[1] != first[3]
+    models = gr.score(Plain(), "dry-month", seeds=2).values
+    assert models[0] == gr.score(Plain(), "dry-month").value
     refusal(lambda: gr.score("onoff", "paper", seeds=2), match="forecast_seed = 1: is an option of")
 
 

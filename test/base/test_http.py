@@ -19,13 +19,10 @@ class Redirecting(HttpService):
         place = {"/once": "/there", "/ftp": "ftp://127.0.0.1/", "/loop": "/loop"}.get(
             request.path.partition("?")[0]
         )
-        request.send_response(302 if place else 200)
         if place:
-            request.send_header("Location", place)
-        body = b"" if place else b"there"
-        request.send_header("Content-Length", str(len(body)))
-        request.end_headers()
-        request.wfile.write(body)
+            self.send(request, 302, b"", {"Location": place})
+        else:
+            self.send(request, 200, b"there")
 
 
 @pytest.mark.parametrize(("path", "reason"), [

@@ -5,13 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from brokers import mosquitto, needs_mosquitto
-from graphs import wait_for
 from refusals import refusal
 
 from greenroof_ros.base.mqtt import Broker, make_client, parse_broker, parse_topic
-
-SOON_S = 10.0
 
 
 def test_an_address_names_broker_and_topic() -> None:
@@ -38,31 +34,3 @@ def test_a_login_that_others_may_know_is_refused(mode: int, tmp_path: Path) -> N
     assert str(file) in message and "secret\n" not in message
     file.chmod(0o600)
     make_client(broker, "roof", int, print).disconnect()
-
-
-@needs_mosquitto
-def test_a_client_connects_again_and_hears_nothing_of_before(tmp_path: Path) -> None:
-    payloads: list[bytes] = []
-    connected: list[int | None] = []
-    with mosquitto(tmp_path) as server:
-        client = make_client(
-            parse_broker(server.address, "broker"), "roof",
-            lambda: connected.append(client.subscribe("level")[1]),
-            lambda topic, payload, retained: payloads.append(payload),
-        )
-        client.loop_start()
-        try:
-            wait_for(lambda: connected, SOON_S, "a connection")
-            client.publish("level", "1")
-            wait_for(lambda: payloads, SOON_S, "a message")
-            server.kill()
-            wait_for(lambda: not client.is_connected(), SOON_S, "the end of the connection")
-            client.publish("level", "2")
-            server.start()
-            wait_for(lambda: len(connected) > 1, SOON_S, "another connection")
-            client.publish("level", "3")
-            wait_for(lambda: b"3" in payloads, SOON_S, "another message")
-        finally:
-            client.disconnect()
-            client.loop_stop()
-    assert payloads == [b"1", b"3"]

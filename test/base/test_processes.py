@@ -14,41 +14,10 @@ from places import CHECKOUT
 from greenroof_ros.base.processes import (
     LockedError,
     acquire_name_lock,
-    child_environment,
     scratch_directory,
 )
 
 TOO_LONG_S = 60
-
-# A command of this package that prints whether its own children are asked to end with it.
-_CHILD = """
-import os
-from greenroof_ros.base.command_line import command
-@command
-def main():
-    print("GREENROOF_ROS_PARENT" in os.environ)
-main()
-"""
-
-
-@pytest.mark.parametrize(("parent", "code", "printed"), [
-    (None, 0, "False\n"), ("1", -signal.SIGTERM, ""),
-])
-def test_a_child_whose_parent_died_while_it_started_ends(
-    parent: str | None, code: int, printed: str
-) -> None:
-    """Before it could ask the kernel: without any output. It does not pass the request on.
-
-    For parents that are killed later see test_watch_command.py and test_live_bringup.py.
-    """
-    environment = child_environment()
-    environment["GREENROOF_ROS_PARENT"] = parent or environment["GREENROOF_ROS_PARENT"]
-    done = subprocess.run(
-        [sys.executable, "-c", _CHILD], env=environment, stdout=subprocess.PIPE, cwd=CHECKOUT,
-        text=True, check=False,
-    )
-    assert (done.returncode, done.stdout) == (code, printed)
-
 
 # --- locks --------------------------------------------------------------------------------------
 
@@ -100,25 +69,18 @@ with scratch_directory(sys.argv[1]) as directory:
 def test_what_a_killed_process_leaves_is_removed_at_the_next_start(tmp_path: Path) -> None:
     """With what is in it; what a process still uses, even a stopped one, is not touched."""
     (tmp_path / "someone's").mkdir()
-    (tmp_path / "someone's" / "lock").touch()
-    os.utime(tmp_path / "someone's" / "lock", (0, 0))
     (tmp_path / "greenroof_ros_temporary-link").symlink_to(tmp_path / "someone's")
     with subprocess.Popen(
         [sys.executable, "-c", _SCRATCH, str(tmp_path)], stdout=subprocess.PIPE, text=True
     ) as other:
-        try:
-            assert other.stdout is not None
-            left = Path(other.stdout.readline().strip())
-            other.send_signal(signal.SIGSTOP)
-            os.utime(left / "lock", (0, 0))
-            with scratch_directory(str(tmp_path)) as mine:
-                assert mine.is_dir() and left.is_dir()
-                other.kill()
-                other.wait(TOO_LONG_S)
-                with scratch_directory(str(tmp_path)) as another:
-                    assert mine.is_dir() and another != mine
-                    assert not left.exists()
-            assert not mine.exists()
-            assert (tmp_path / "someone's").is_dir()
-        finally:
+        assert other.stdout is not None
+        left = Path(other.stdout.readline().strip())
+        other.send_signal(signal.SIGSTOP)
+        os.utime(left / "lock", (0, 0))
+        with scratch_directory(str(tmp_path)) as mine:
+            assert mine.is_dir() and left.is_dir()
             other.kill()
+            other.wait(TOO_LONG_S)
+            with scratch_directory(str(tmp_path)) as another:
+                assert mine.is_dir() and another != mine and not left.exists()
+        assert not mine.exists() and (tmp_path / "someone's").is_dir()

@@ -7,8 +7,8 @@ import sys
 from pathlib import Path
 
 import pytest
-from checked_nodes import changed
 from commands import run_command
+from graphs import changed
 from paper import PAPER_SITE
 from places import CHECKOUT
 

@@ -88,7 +88,7 @@ def test_each_hour_has_the_rain_and_temperature_that_are_forecast_for_it(server)
     ("refused", "Remote end closed connection"),
     ("slow", "sent no complete response within 0.5 s"),
     ("slow head", "sent no complete response within 0.5 s"),
-    ("truncated", "IncompleteRead"),
+    ("half", "IncompleteRead"),
     ("broken", "its response is not valid JSON"),
     ("limit", "429 Too Many Requests: .*Minutely API request limit"),
     ("error", "503 Service Unavailable: upstream is down"),

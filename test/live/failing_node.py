@@ -1,7 +1,8 @@
 """Live nodes whose code fails while they run; the first argument states which.
 
-``alone`` is a process with one node, which needs three seconds to stop its device. ``station`` is a
-station whose recorder fails again and again, and ``alarms`` one whose alarms node fails.
+``alone`` is a process with one node, which stops its device until the file ``stopped`` exists.
+``station`` is a station whose recorder fails again and again, and ``alarms`` one whose alarms node
+fails.
 """
 
 from __future__ import annotations
@@ -9,23 +10,26 @@ from __future__ import annotations
 import sys
 import time
 from functools import partial
+from pathlib import Path
 
 from greenroof_ros.live import station, upkeep
 from greenroof_ros.live.node import LiveNode, spin
 from greenroof_ros.nodes.alarms import AlarmsNode
 from greenroof_ros.ros.spin import run_nodes
 
+kind = sys.argv[1]
+
 
 class Failing(LiveNode):
-    def __init__(self, stop_s: float = 0.0) -> None:
+    def __init__(self) -> None:
         super().__init__("recorder", "recorder")
-        self._stop_s = stop_s
 
     def on_timer(self, now: float) -> None:
         print(1 / 0)
 
     def on_stop(self) -> None:
-        time.sleep(self._stop_s)
+        while kind == "alone" and not Path("stopped").exists():
+            time.sleep(0.1)
 
 
 class FailingAlarms(AlarmsNode):
@@ -33,10 +37,9 @@ class FailingAlarms(AlarmsNode):
         print(1 / 0)
 
 
-kind = sys.argv[1]
 sys.argv[1:] = ["--ros-args"]
 if kind == "alone":
-    sys.exit(run_nodes(lambda: [Failing(3.0)], spin))
+    sys.exit(run_nodes(lambda: [Failing()], spin))
 upkeep.MAX_WAIT_S, upkeep.MAX_RESTARTS = 0.5, 2
 working = partial(LiveNode, "weather", "weather")
 makers = {"station": [Failing, working, AlarmsNode], "alarms": [working, FailingAlarms]}[kind]

@@ -1,7 +1,7 @@
 """The pump node against a simulated drive: after any fault the motor stops soon.
 
-The motor's state is read at the simulator's workbench, not from the node. What happens if the node,
-bringup or the drive fails is in the sample of the campaign, test_faults.py.
+The motor's state is read at the simulator's workbench, not from the node. What follows from faults
+of the node, bringup and the drive, and from hostile messages, is shown by the fault campaign.
 """
 
 from __future__ import annotations
@@ -13,14 +13,16 @@ import subprocess
 from typing import Any
 
 import pytest
+from brokers import mosquitto, needs_mosquitto
 from graphs import Process, free_ports
-from pump_node_rig import PumpRig, state_in
+from live_rig import PumpRig, state_in
 from rcl_interfaces.msg import Parameter as ParameterMessage
 from rcl_interfaces.msg import ParameterValue
 from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from ros_rig import ERROR, LATE, OK, Observer
+from ros_rig import ERROR, LATE, Observer
+from simulators import Simulator
 from std_msgs.msg import Float64
 from std_srvs.srv import SetBool, Trigger
 
@@ -33,168 +35,83 @@ def rig(observer: Observer) -> PumpRig:
     return PumpRig(observer)
 
 
-def stays_off(rig: PumpRig, state: str) -> None:
-    """Check that a started node does not run the pump, for a reason."""
-    rig.join()
-    assert [rig.tick(0.5) for _ in range(10)] == [0.0] * 10
-    assert re.match(state, rig.state), rig.state
-
-
-@pytest.mark.parametrize(("make", "at", "seconds", "stops_locally", "words"), [
-    ("abb_acs880", "gateway", 3.0, False, None),
-    ("abb_acs880", "gateway", 10.5, False, "it is 10.5 s, but must be at most 10 s; to set it: "),
-    ("abb_acs880", "tcp", None, False, "is not effective: it is off; to set it: not described"),
-    ("grundfos_cim500", "tcp", 3.0, False,
-     "and confirm this (local_settings_stop_the_pump: true); to set it: "),
-    ("grundfos_cim500", "tcp", 3.0, True, None),
+@pytest.mark.parametrize(("make", "at", "seconds", "stops_locally", "guards"), [
+    ("abb_acs880", "gateway", 3.0, False, True), ("abb_acs880", "gateway", 10.5, False, False),
+    ("abb_acs880", "tcp", None, False, False), ("grundfos_cim500", "tcp", 3.0, False, False),
+    ("grundfos_cim500", "tcp", 3.0, True, True),
 ])
 def test_a_timeout_that_does_not_guard(
-    make: str, at: str, seconds: float | None, stops_locally: bool, words: str | None
+    make: str, at: str, seconds: float | None, stops_locally: bool, guards: bool
 ) -> None:
+    """Of more than 10 s, or off; a CIM's settings at the pump must stop it, too."""
     endpoint = read_endpoint(find_drive_file(make), f"{at}://127.0.0.1", "address")
     exchange = DriveExchange(endpoint, stops_locally=stops_locally)
     problem = exchange.judge_timeout(seconds, "" if seconds else "it is off")
-    assert (problem is None) == (words is None)
-    assert problem is None or words in problem.sentence
-
-
-def ends_in_words(rig: PumpRig, node: subprocess.Popen[str], fault: str, *words: str) -> None:
-    """If the stop at the end fails, exit code 1 and an error that reports what can still stop it.
-
-    If the middleware is slow to end, as on a busy machine, the kernel ends the node.
-    """
-    rig.drive.inject(fault)
-    node.terminate()
-    _, errors = node.communicate(timeout=120)
-    assert node.returncode in (1, -signal.SIGALRM)
-    assert all(word in errors for word in ("error: ", *words)), errors
+    assert (problem is None) == guards
 
 
 def test_it_connects_by_itself_and_runs_no_drive_without_its_own_timeout(rig: PumpRig) -> None:
-    """Not connected yet, refused with the reason, ready; the end may need someone at the pump."""
+    """Not connected yet, then it runs; refused with the reason."""
     (port,) = free_ports(1)
-    node = rig.start(
-        f"gateway://127.0.0.1:{port}", popen={"stderr": subprocess.PIPE, "text": True}
-    )
-    rig.join()
-    rig.until_reported("drive", ERROR, f"127.0.0.1:{port}")
-    assert (rig.code("drive"), rig.drive_state) == ("drive_lost", "connecting")
-    drive = rig.simulate(port=port)
+    rig.start(f"gateway://127.0.0.1:{port}")
+    rig.command(0.5, lambda: rig.code("drive") == "drive_lost", "a lost drive")
+    drive = rig.simulate(port)
     rig.run()
-    assert rig.observer.diagnoses["/pump: drive"].hardware_id.startswith("ABB ACS880")
-    assert rig.drive_state == "ready"
     drive.inject("timeout_off")
     drive.inject("dropped")
-    rig.until_code("drive", "drive_lost")
+    rig.command(0.5, lambda: rig.code("drive") == "drive_lost", "a lost drive")
     drive.inject("none")
     drive.inject("timeout_off")
-    rig.until_reported("drive timeout", ERROR, "is not effective", "58.")
-    rig.until_code("pump", "drive_timeout")
-    assert rig.drive_state == "refused"
-    stays_off(rig, "off")
-    assert rig.drive.speed() == 0.0
-    words = "was not stopped at the end", "only a person at its panel can stop it"
-    ends_in_words(rig, node, "silence", *words)
+    rig.command(0.5, lambda: rig.code("pump") == "drive_timeout", "the reason")
+    rig.stays_off("off")
+    assert drive.speed() == 0.0
 
 
-def test_messages_that_must_not_pump(rig: PumpRig) -> None:
-    """Malformed, negative, not finite, of two publishers, of a silent one: off, and it recovers.
+def test_a_publisher_of_the_command_that_does_not_fit_stops_the_pump(rig: PumpRig) -> None:
+    """As by ros2 topic pub: it may send 0. One that fits is in the fault campaign."""
+    rig.start()
+    rig.run()
+    node = Node("volatile", context=rig.watcher.context, start_parameter_services=False)
+    node.create_publisher(Float64, "/pump/command", 10)
+    rig.until_at_rest()
+    rig.until(rig.shows("/pump: command", ERROR, "incompatible QoS (volatile)"), LATE, "why")
+    node.destroy_node()
+    rig.run()
 
-    Each malformed message is counted and reported. On their way between processes they are padded
-    to a multiple of 4 bytes.
+
+def test_a_stop_stays_over_a_restart_until_it_is_lifted(rig: PumpRig) -> None:
+    """A stop that fails at the end is an error that reports what can still stop the drive.
+
+    If the middleware is slow to end, as on a busy machine, the kernel ends the node.
     """
     node = rig.start()
-    head = b"\x00\x01\x00\x00"  # of a message, little-endian
-    for topic in ("/pump/command", "/cistern/level", "/weather/frost"):
-        rig.run()
-        rig.send_malformed(topic, head + b"abc", head, b"\x00")
-        assert rig.drive.speed() < 0.5
-
-        def is_counted(topic: str = topic) -> bool:
-            return bool(rig.observer.values("/pump")["refused"].get(topic) == 3)
-
-        rig.tick_until(0.5, is_counted, LATE, "its count")
-    assert node.poll() is None
-    for command in (math.nan, math.inf, -1.0):
-        rig.run()
-        rig.until_at_rest(command)
-    rig.until_code("command", "input_refused", -1.0)
-    rig.until_code("pump", "command_unknown", -1.0)
     rig.run()
-    # The second has the same name as the first: endpoints count, not names.
-    name = rig.node.get_name()
-    twin = Node(name, context=rig.observer.context, start_parameter_services=False)
-    rig.observer.publisher("/pump/command", twin)
-    rig.until_at_rest()
-    rig.until_reported("command", ERROR, f"/pump/command has 2 publishers ({name})")
-    twin.destroy_node()
-    rig.run()
-    # An incompatible publisher, such as ros2 topic pub, may be sending 0 to stop it.
-    volatile = Node("volatile", context=rig.observer.context)
-    volatile.create_publisher(Float64, "/pump/command", 10)
-    rig.until_at_rest()
-    rig.until_reported("command", ERROR, "incompatible QoS (volatile)")
-    volatile.destroy_node()
-    rig.run()
-    assert rig.shows("command", OK)
-
-
-def test_a_fault_stays_until_it_is_reset_and_a_stop_until_it_is_lifted(rig: PumpRig) -> None:
-    """Also over restarts of the node; a stop that fails at the end is reported."""
-    node = rig.start()
-    rig.run()
-    rig.drive.inject("drive_fault", 0x2310)
-    rig.until_reported("pump", ERROR, "the drive reports")
-    rig.until_at_rest()
-    rig.drive.inject("none")
-    node.kill()
-    node.wait()
-    node = rig.start()
-    stays_off(rig, "fault: the drive reports")
-    assert not rig.call(Trigger, "clear").success
-    answer = rig.call(Trigger, "reset")
-    assert answer.success and "the drive reports" in answer.message
-    rig.run()
-    late = rig.observer.collect("/pump/state", state_in)  # as by ros2 topic echo --once
-    rig.observer.until(lambda: late, LATE, "a state")
-    assert late == [rig.state]
-
-    assert rig.call(SetBool, "stop", data=True).success
+    late = rig.watcher.collect("/pump/state", state_in)  # as by ros2 topic echo --once
+    rig.watcher.until(lambda: late, LATE, "a state")
+    assert rig.call(SetBool, "/pump/stop", data=True).success
     rig.until_at_rest()
     node.terminate()
     assert node.wait(120) == 0
     node = rig.start(popen={"stderr": subprocess.PIPE, "text": True})
-    stays_off(rig, "held: a hold by the operator")
-    assert rig.call(SetBool, "stop", data=False).success
+    rig.stays_off("held: a hold by the operator")
+    assert rig.call(SetBool, "/pump/stop", data=False).success
     rig.run()
-    words = "was not stopped at the end", "its own timeout (1.5 s)"
-    ends_in_words(rig, node, "stuck_running", *words)
+    rig.drive.inject("stuck_running")
+    node.terminate()
+    _, errors = node.communicate(timeout=120)
+    assert node.returncode in (1, -signal.SIGALRM)
+    assert "error: " in errors and "only a person at its panel or its own timeout" in errors
 
 
 def command(rig: PumpRig, name: str, *options: str) -> tuple[int, str]:
-    """Run a command while the graph ticks; return its exit code and its output."""
-    process = Process(rig.domain, name, *options, cwd=rig.cwd)
-    rig.tick_until(0.0, lambda: process.process.poll() is not None, LATE, name)
-    return process.wait(1), process.stdout() + process.stderr()
+    return rig.finish(Process(rig.watcher.domain, name, *options, cwd=rig.cwd))
 
 
-def test_a_hold_by_the_command(rig: PumpRig) -> None:
-    """Its times are those of the site's clock. A request that does not shorten it says so."""
-    rig.start()
-    rig.run()
-    code, output = command(rig, "hold", "--for", "1h", "--reason", "painting")
-    times = r"since (\d\d \w{3} )?\d\d:\d\d until (\d\d \w{3} )?\d\d:\d\d"
-    held = f"held: a hold by the command line {times}: painting"
-    assert code == 0 and re.fullmatch(rf"{held}(; the pump is still turning)?\n", output), output
-    stays_off(rig, held)
-    code, output = command(rig, "hold", "--for", "0.5")
-    assert (code, "the earlier hold lasts longer and was not shortened" in output) == (0, True)
-    assert command(rig, "release")[0] == 0
-    rig.run()
+def test_a_hold_by_the_command_and_what_is_none(rig: PumpRig) -> None:
+    """Its times are those of the site's clock. A request that does not shorten it says so.
 
-
-def test_what_is_no_hold_is_refused(rig: PumpRig) -> None:
-    """The pump runs on after each; nor does a parameter of an unknown type end the node."""
+    The pump runs on after each that is none; nor does a parameter of an unknown type end the node.
+    """
     rig.start()
     rig.run()
     requests: tuple[dict[str, Any], ...] = (
@@ -206,9 +123,18 @@ def test_what_is_no_hold_is_refused(rig: PumpRig) -> None:
     for service, parameters in (("hold", unknown), ("dose", unknown), *(("hold", [
         Parameter(name, value=value).to_parameter_msg() for name, value in request.items()
     ]) for request in requests)):
-        result = rig.call(SetParametersAtomically, service, parameters=parameters).result
+        result = rig.call(SetParametersAtomically, f"/pump/{service}", parameters=parameters).result
         assert not result.successful and result.reason, parameters
-        assert [rig.tick(0.5) > 0 for _ in range(3)] == [True] * 3, parameters
+        assert rig.state.startswith("running"), parameters
+    code, output = command(rig, "hold", "--for", "1h", "--reason", "painting")
+    times = r"since (\d\d \w{3} )?\d\d:\d\d until (\d\d \w{3} )?\d\d:\d\d"
+    held = f"held: a hold by the command line {times}: painting"
+    assert code == 0 and re.fullmatch(rf"{held}(; the pump is still turning)?\n", output), output
+    rig.stays_off(held)
+    code, output = command(rig, "hold", "--for", "0.5")
+    assert (code, "the earlier hold lasts longer and was not shortened" in output) == (0, True)
+    assert command(rig, "release")[0] == 0
+    rig.run()
 
 
 def test_a_broken_state_needs_a_reset_that_is_confirmed(rig: PumpRig) -> None:
@@ -216,15 +142,12 @@ def test_a_broken_state_needs_a_reset_that_is_confirmed(rig: PumpRig) -> None:
     file = rig.cwd / "pump.json"
     file.write_bytes(b"torn")
     rig.start(state_file=file)
-    stays_off(rig, "fault: .*pump.json cannot be read")
-    assert rig.call(SetBool, "stop", data=False).success
-    assert not rig.call(Trigger, "clear").success
+    assert rig.call(SetBool, "/pump/stop", data=False).success
+    assert not rig.call(Trigger, "/pump/clear").success
     code, output = command(rig, "reset")
     assert code == 1 and "not cleared: the request was not confirmed" in output
-    assert re.search("The fault: .*pump.json cannot be read", output)
-    stays_off(rig, "fault: .*pump.json cannot be read")
-    code, output = command(rig, "reset", "--yes")
-    assert code == 0 and "pump.json cannot be read" in output
+    rig.stays_off("fault: .*pump.json cannot be read")
+    assert command(rig, "reset", "--yes")[0] == 0
     rig.run()
 
 
@@ -238,11 +161,26 @@ def test_a_dose_by_the_command(rig: PumpRig) -> None:
     assert (code, output.splitlines()[-1]) == (0, "the dose of 50 litres was delivered")
     rig.until_at_rest(0.0)
     assert rig.pumped() - before == pytest.approx(0.05, rel=0.1)
-    code, output = command(rig, "dose", "--litres", "600")
-    assert (code, "to 500 litres" in output) == (1, True)
-    process = Process(rig.domain, "dose", "--litres", "500", cwd=rig.cwd)
-    rig.tick_until(0.0, lambda: "a dose of 500 litres" in rig.state, LATE, "a dose")
-    assert rig.call(SetBool, "stop", data=True).success
-    rig.tick_until(0.0, lambda: process.process.poll() is not None, LATE, "its end")
-    assert process.wait(1) == 1
-    assert "error: the dose ended early, after " in process.stderr()
+    assert command(rig, "dose", "--litres", "600")[0] == 1
+    process = Process(rig.watcher.domain, "dose", "--litres", "500", cwd=rig.cwd)
+    rig.command(0.0, lambda: "a dose of 500 litres" in rig.state, "a dose")
+    assert rig.call(SetBool, "/pump/stop", data=True).success
+    code, output = rig.finish(process)
+    assert (code, "error: the dose ended early, after " in output) == (1, True)
+
+
+@needs_mosquitto
+def test_check_pump_finds_a_relay_right(rig: PumpRig) -> None:
+    """At command 1, at which a relay stays on; the check acts as all peers, so no one publishes."""
+    with mosquitto(rig.cwd) as broker, Simulator(
+        "drive_simulator", "--drive", "tasmota", "--at", f"{broker.address}/roof", "--timeout", "3"
+    ) as relay:
+        node = rig.start(f"{broker.address}/roof", drive="tasmota")
+        check = Process(
+            rig.watcher.domain, "check_pump", "--node", "pump", "--live", "--period", "0.1",
+            "--command", "1", "--site", str(rig.cwd / "site.yaml"), cwd=rig.cwd,
+        )
+        assert check.wait(300) == 0, check.stdout() + check.stderr()
+        assert relay.speed() == 0.0
+        node.terminate()
+        node.wait(120)

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import re
-import subprocess
 from pathlib import Path
 from typing import NamedTuple
 
 import pytest
-from checked_nodes import changed, start_node
-from graphs import Process
+from graphs import Process, changed, start_node
 from places import CHECKOUT, CONFIG
 
 CONTROLLER = (CHECKOUT / "examples" / "controller_node.py").read_text()
@@ -62,9 +60,6 @@ CONTROLLERS = {
         "in any order": "before the last input in /cistern/level, .*/forecast/precipitation$",
         "ends with": "still runs 10 s after /clock",
     }),
-    "never_waters": Case(
-        {"GAIN = 20.0": "GAIN = 0.0"}, {"waters": "0 on /pump/command after 3600 s .*; nothing"},
-    ),
     "volatile": Case({
         ", durability=DurabilityPolicy.TRANSIENT_LOCAL": "",
         '"weather/frost": Float64,': "", 'tick["weather/frost"] != 0 or ': "",
@@ -89,34 +84,7 @@ DRIVERS = {
         "second publisher": r"0\.00\d+ on /pump/flow after 3 s with usual inputs",
         "at the suction level": "after 3 s with 0.749 on /cistern/level",
     }),
-    "hears_too_little": Case({
-        "min(command, 1.0)": "command",
-        "frost != 0": "math.isnan(frost)",
-        "SUCTION  # an unknown level": "SUCTION + last[0]; last[0] += cistern <= SUCTION  #",
-    }, {
-        "above 1 as 1": r"0\.02\d+ m3/s at command 3, 0\.00\d+ m3/s at command 1",
-        "stops in frost": "after 3 s with 1 on /weather/frost",
-        "the suction level, and runs again": "on /pump/flow after 12 s with usual inputs; nothing",
-    }),
-    "acts_at_the_command": Case({
-        "    tick[topic] = message.data\n    if len(tick) < len(INPUTS):\n        return\n":
-            "    node.seen = getattr(node, 'seen', {}) | {topic: message.data}\n"
-            "    if topic != INPUTS[0] or len(node.seen) < len(INPUTS):\n        return\n"
-            "    tick.update(node.seen)\n",
-    }, {"in any order": "an answer came before the last input in /pump/command, /"}),
 }
-
-
-def start(domain: int, cwd: Path, name: str, text: str, case: Case) -> subprocess.Popen[bytes]:
-    """Start a node in a namespace of its own, as its user would."""
-    for old, new in case.changes.items():
-        text = changed(text, old, new)
-    return start_node(domain, cwd, name, text, "--ros-args", "-r", f"__ns:=/{name}", *case.node)
-
-
-def check(domain: int, cwd: Path, name: str, kind: str, *options: str) -> Process:
-    options = (*options, "--period", "0.01") if kind == "pump" else options
-    return Process(domain, f"quick_check_{kind}", "--node", f"/{name}/{kind}", *options, cwd=cwd)
 
 
 @pytest.mark.parametrize(("kind", "name"), [
@@ -128,9 +96,15 @@ def test_examples_pass_and_broken_nodes_fail_for_what_is_broken(
     """Exactly the lines of what is broken fail."""
     text, cases = (DRIVER, DRIVERS) if kind == "pump" else (CONTROLLER, CONTROLLERS)
     case = cases[name]
-    node = start(domain, tmp_path, name, text, case)
+    for old, new in case.changes.items():
+        text = changed(text, old, new)
+    there = "--ros-args", "-r", f"__ns:=/{name}", *case.node  # in a namespace of its own
+    node = start_node(domain, tmp_path, name, text, *there)
+    options = ("--period", "0.01") if kind == "pump" else case.check
     try:
-        process = check(domain, tmp_path, name, kind, *case.check)
+        process = Process(
+            domain, f"quick_check_{kind}", "--node", f"/{name}/{kind}", *options, cwd=tmp_path
+        )
         code, said = process.wait(180), process.stdout()
         failed = [line for line in said.splitlines() if line.startswith("  failed: ")]
         assert code == bool(case.failures), process.stderr()
@@ -151,17 +125,3 @@ def test_our_controller_is_held_to_the_same_rules(domain: int, tmp_path: Path) -
     checked = Process(domain, "check_controller", "--node", "onoff", cwd=tmp_path)
     assert checked.wait(180) == 0, checked.stdout()
     node.wait(60)
-
-
-def test_with_a_second_graph_it_explains(domain: int, tmp_path: Path) -> None:
-    """The example of a driver needs nothing of this package."""
-    assert "greenroof" not in DRIVER and len(DRIVER.splitlines()) <= 67
-    publisher = 'node.create_publisher(Float64, "pump/command", qos)\nwatchdog = '
-    driver = start(domain, tmp_path, "taken", DRIVER, Case({"\nwatchdog = ": f"\n{publisher}"}, {}))
-    try:
-        again = check(domain, tmp_path, "taken", "pump")
-        assert again.wait(300) == 3
-        assert "/pump/command already has a publisher (pump)" in again.stderr()
-    finally:
-        driver.terminate()
-        assert driver.wait(300) == 0  # no traceback and no failure at SIGTERM

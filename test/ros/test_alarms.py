@@ -7,7 +7,16 @@ from typing import Any
 
 import pytest
 
-from greenroof_ros.interface.alarm import ERROR, LEVELS, OTHER, STALE, WARN, Alarm, advise
+from greenroof_ros.interface.alarm import (
+    ERROR,
+    LEVELS,
+    OTHER,
+    STALE,
+    WARN,
+    Alarm,
+    advise,
+    read_status,
+)
 from greenroof_ros.interface.conditions import read_conditions
 from greenroof_ros.ros.alarms import Judge, find_causes
 from greenroof_ros.ros.reports import StatusDiagnosis
@@ -126,9 +135,6 @@ def test_what_follows_from_another_one() -> None:
     # Frost is told by the weather node, with its temperature.
     (wrong("/weather: frost", "freezing", level=WARN),
      wrong("/pump: pump", "frost", level=WARN) | wrong("/pump: frost", "frost", level=WARN), {}),
-    # A level that only its readers find wrong: the pump node knows the most about it.
-    (wrong("/pump: levels", "input_frozen", "/roof/level"),
-     wrong("/mpc: inputs", "input_frozen", "/roof/level"), {}),
     # A node that waits follows from the one it waits for.
     (wrong("/weather", "node_silent", level=STALE),
      wrong("/mpc", "peers_awaited", "weather", level=WARN)
@@ -186,3 +192,9 @@ def test_every_code_has_words_for_whoever_stands_at_the_pump() -> None:
     leaks = advise("valve_leaks", "valve", "/site1/valve")
     assert "greenroof outlet reset --namespace site1" in leaks
     assert advise("of another version", "pump", "/pump") == OTHER
+
+
+def test_what_another_program_says_of_an_alarm_is_checked() -> None:
+    for broken in ({"number": "x"}, {"since": "now"}, {"seconds": "long"}):
+        with pytest.raises(ValueError, match=r"x|now|long"):
+            read_status("/pump", 2, "", broken)

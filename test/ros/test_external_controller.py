@@ -10,8 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from checked_nodes import changed, start_node
-from graphs import Process, bag_file, bring_up, messages_of, summary_of
+from graphs import Process, bag_file, bring_up, changed, messages_of, start_node, summary_of
 from paper import VALVE, site_file
 from places import CHECKOUT
 
@@ -110,14 +109,3 @@ def test_bad_commands_act_as_zero_and_a_second_one_ends_the_run(
         messages = messages_of(tmp_path / "run")[topic]
         flows = [struct.unpack("<d", message[4:12])[0] for message in messages]
         assert flows[4:8] == [0.0] * 4 and min(flows[:4] + flows[8:20]) > 0, topic
-
-
-def test_a_publisher_that_does_not_fit_is_named_at_once(domain: int, tmp_path: Path) -> None:
-    """With its node, and what it must have; nothing has run, so the exit code is 3."""
-    source = changed(EXAMPLE, ", durability=DurabilityPolicy.TRANSIENT_LOCAL", "")
-    with ending(start_node(domain, tmp_path, "controller_node", source)):
-        process = Process(
-            domain, "bringup", "--controller", "external", "--output", "run", cwd=tmp_path
-        )
-        assert process.wait(120) == 3, process.stderr()
-    assert "(controller): it must have transient local durability; change its" in process.stderr()

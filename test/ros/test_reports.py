@@ -6,10 +6,11 @@ import json
 from typing import Any
 
 import pytest
+from hostile_reports import STATUSES
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from greenroof_ros.interface.alarm import ERROR, OK, STALE, WARN
+from greenroof_ros.interface.alarm import ERROR, OK
 from greenroof_ros.ros.reports import SILENT_S, Reports, Status
 
 
@@ -135,22 +136,8 @@ def test_the_time_of_a_run_is_its_plants_after_the_first_tick() -> None:
 
 # --- hostile messages -----------------------------------------------------------------------------
 
-_TEXTS = st.text(max_size=30) | st.sampled_from([
-    "/pump", "/pump: drive", "ready", "ended", "starting", "", ": ", "/", "\ud800\x00\u202e",
-    "[" * 2000, "9" * 401, "1e999", "NaN", '"pump"', "{}", "[[1]]", '["x"]',
-    '{"/a": 9' + "9" * 400 + "}", "null", "true", "-Infinity", "mqtt://\u202e/x",
-])
-_KEYS = [
-    "role", "process", "waiting", "failure", "up_s", "tick", "topics", "code", "age_s",
-]
-_STATUSES = st.builds(
-    Status, _TEXTS, st.sampled_from([OK, WARN, ERROR, STALE]), _TEXTS,
-    st.dictionaries(st.sampled_from(_KEYS) | _TEXTS, _TEXTS, max_size=8), _TEXTS,
-)
-
-
 @settings(max_examples=100)
-@given(st.lists(st.lists(_STATUSES, max_size=4), max_size=4))
+@given(st.lists(STATUSES, max_size=4))
 def test_nothing_that_is_reported_raises(messages: list[list[Status]]) -> None:
     """And every name and sentence can be printed."""
     reports = Reports("", ["pump"])

@@ -44,7 +44,7 @@ def test_packaged_site_is_table_i() -> None:
         "valve_closed_in_frost",
         "valve_moves_per_hour", "valve_travel_time", "valve_without_power",
         "initial_cistern", "initial_roof", "quiet_hours", "time_zone", "max_dose", "irrigation",
-        "contact",
+        "contact", "monthly_other_demand",
     }
     assert {key for key, value in site.items() if value is None} == absent
     assert (site["initial_layer"], site["runoff_coefficient"]) == (0, 1)

@@ -9,28 +9,22 @@ import os
 import re
 import signal
 import struct
-import time
 from pathlib import Path
-from typing import Any
 
 import pytest
 from graphs import Process, bag_file, bring_up, wait_for
 from mcap.reader import make_reader
-from page_inputs import fail
-from page_server import read_state
+from page_inputs import read_state
 from peers import in_domain
-from test_watch_command import child_of, end, tcp_addresses_of, watcher
+from test_watch_command import child_of, end, refuses_other_addresses, watcher
 
 pytest.importorskip("foxglove", reason="serves Foxglove")
 pytest.importorskip("rclpy", reason="nodes need ROS 2")
 
 import aiohttp
 
-from greenroof_ros.interface.topics import read_topics
 from greenroof_ros.ros.messages import decoder
-from greenroof_ros.watch import feed
 from greenroof_ros.watch.feed import Feed
-from greenroof_ros.watch.graph_client import RequestError
 from greenroof_ros.watch.store import GraphStore
 
 LEVEL, FLOAT = "/roof/level", "std_msgs/msg/Float64"
@@ -39,42 +33,40 @@ URL = re.compile(r"ws://127\.0\.0\.1:(\d+)\n")
 MESSAGE, HEAD, NUMBER = 1, struct.Struct("<BIQ"), struct.Struct("<4xd")
 
 
-async def receive(port: int, number: int) -> tuple[dict[str, Any], dict[int, float]]:
-    """Subscribe as Foxglove does; return the level's channel, and values by their times (ns)."""
-    channels, found = dict[str, dict[str, Any]](), dict[int, float]()
+async def receive(port: int, number: int) -> dict[int, float]:
+    """Subscribe to the level as Foxglove does; return values by their times (ns)."""
+    channels, found = dict[str, int](), dict[int, float]()
     async with (
         aiohttp.ClientSession() as session,
         session.ws_connect(f"ws://127.0.0.1:{port}", protocols=["foxglove.sdk.v1"]) as socket,
     ):
-        assert json.loads(await socket.receive_str())["capabilities"] == ["time"]
-        while len(channels) < len(read_topics()):
-            for channel in json.loads(await socket.receive_str())["channels"]:
-                channels[channel["topic"]] = channel
+        await socket.receive_str()  # what it can do
+        while LEVEL not in channels:
+            message = json.loads(await socket.receive_str())
+            channels |= {each["topic"]: each["id"] for each in message["channels"]}
         await socket.send_json({
-            "op": "subscribe", "subscriptions": [{"id": 7, "channelId": channels[LEVEL]["id"]}]
+            "op": "subscribe", "subscriptions": [{"id": 7, "channelId": channels[LEVEL]}]
         })
         while len(found) < number:
             frame = await socket.receive()
             if frame.type is aiohttp.WSMsgType.BINARY and frame.data[0] == MESSAGE:
                 _, _, time_ns = HEAD.unpack_from(frame.data)
                 (found[time_ns],) = NUMBER.unpack(frame.data[HEAD.size:])
-    return channels[LEVEL], found
+    return found
 
 
-def test_a_run_under_the_eyes_of_five_is_the_same_run(
-    domain: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_run_under_the_eyes_of_five_is_the_same_run(domain: int, tmp_path: Path) -> None:
     """What they receive is what is recorded, each value at its tick, or at the next one.
 
     A page that waits for it, one that is stopped, a client of Foxglove, a store, and its own page,
-    which is killed. Of a run that is too fast, only reports are received.
+    which is killed.
     """
-    options, watched = ("--controller", "onoff", "--hours", "0.3"), GraphStore()
+    options, watched = ("--controller", "onoff", "--hours", "1"), GraphStore()
     page, port = watcher(domain, tmp_path)
     stopped, _ = watcher(domain, tmp_path)
     viewer = Process(domain, "watch", "--foxglove", "0", cwd=tmp_path)
     served = int(wait_for(lambda: URL.search(viewer.stdout()), 60, "an address")[1])
-    assert tcp_addresses_of(viewer.process.pid) == {"0100007F"}
+    assert refuses_other_addresses(served)
     with in_domain(domain), Feed(watched):
         run = Process(
             domain, "bringup", *options, "--speed", "60", "--watch", "--output", "run",
@@ -85,16 +77,11 @@ def test_a_run_under_the_eyes_of_five_is_the_same_run(
         killed = wait_for(lambda: child_of(run), 60, "a watcher")
         os.kill(killed, signal.SIGKILL)
         run.until_printed("the watcher has exited, and starts again in 2 s")
-        channel, found = asyncio.run(receive(served, 20))
-        monkeypatch.setattr(feed, "FASTEST", 0.0)
-        time.sleep(0.5)
-        newest = dict(watched.newest)
+        found = asyncio.run(receive(served, 5))
         wait_for(lambda: child_of(run) not in (0, killed), 60, "another watcher")
-        assert watched.newest == newest and watched.mode == "simulated"
         assert run.wait(120) == 0, run.stderr()
         for mode in (lambda: read_state(port)["mode"], lambda: watched.mode):
             wait_for(lambda mode=mode: mode() == "ended", 60, "the end of the run")
-    assert watched.now > newest[LEVEL].time  # by the plant's last report
     stopped.process.send_signal(signal.SIGCONT)
     for process in (page, stopped, viewer):
         end(process, signal.SIGTERM)
@@ -105,18 +92,6 @@ def test_a_run_under_the_eyes_of_five_is_the_same_run(
         bag = {message.log_time: decoder(FLOAT)(message.data)
                for _, _, message in make_reader(stream).iter_messages([LEVEL])}
     past = {int(row["ended"]): row["last"] for row in watched.past["roof"].rows}
-    assert past and channel["schemaName"] == FLOAT
+    assert past
     for at, value in (*past.items(), *found.items()):
         assert value in {each for time_ns, each in bag.items() if abs(at - time_ns) <= 20e9}
-
-
-def test_a_stop_is_answered_if_all_else_fails(
-    domain: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(GraphStore, "update", fail)
-    with in_domain(domain), Feed(GraphStore()) as watcher:
-        time.sleep(0.5)
-        began = time.monotonic()
-        with pytest.raises(RequestError, match="no pump node"):
-            watcher.request_action("stop", owner="the page")
-        assert time.monotonic() - began < 15

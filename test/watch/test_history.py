@@ -10,8 +10,6 @@ import pytest
 from page_inputs import SECOND, START
 
 from greenroof_ros.watch.lines import (
-    MAX_STRETCHES,
-    ROW,
     STRETCH_NS,
     History,
     read_histories,
@@ -54,17 +52,6 @@ def test_what_is_unknown_is_a_gap_and_a_short_run_is_none() -> None:
     ]
     history.add(START + 100 * SECOND, 3.0)
     assert shown(history)[-2:] == [(90, 5), (100, 3)]
-
-
-def test_a_week_is_kept_and_memory_is_bounded() -> None:
-    """Of values every 20 s, the oldest go."""
-    rows = np.zeros(MAX_STRETCHES, ROW)
-    rows["ended"] = START + STRETCH_NS * np.arange(MAX_STRETCHES)
-    history = History(rows)
-    for number in range(100):
-        history.add(START + STRETCH_NS * (MAX_STRETCHES + number), 1.0)
-    assert len(history.rows) == MAX_STRETCHES
-    assert history.rows["ended"][0] == START + 100 * STRETCH_NS
 
 
 def test_the_file_is_read_as_it_was_written_and_damage_is_refused(

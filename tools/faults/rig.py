@@ -340,8 +340,8 @@ class SiteRig(Rig):
         self.csv = self.directory / "levels.csv"
         self.site_simulator = Simulator(
             self.domain, self.directory, "site_simulator", "--sensors", str(file), "--drive-at",
-            self._bench, "--workbench", str(bench), "--site", str(self.site_file), "--rain", "0",
-            "--constant-evapotranspiration", "0", "--cistern", str(self.cistern_m3),
+            self._bench, "--workbench", str(bench), "--site", str(self.site_file),
+            "--cistern", str(self.cistern_m3),
             "--roof", str(self.roof_m3), "--output", str(self.csv),
         )
         self.forecast = self.directory / "forecast.csv"

@@ -22,7 +22,7 @@ import paths
 from brokers import mosquitto
 from browsers import started_browser
 from doc_commands.blocks import fences
-from graphs import Process, free_ports, reserved_domain, wait_for
+from graphs import Process, bag_file, free_ports, reserved_domain, wait_for
 from ros_rig import write_forecast
 from simulators import Simulator
 
@@ -58,7 +58,8 @@ def storm(domain: int, place: Path) -> Iterator[Callable[[], object]]:
         domain, "bringup", "--controller", "lookahead", "--start", "2021-07-08T03:00",
         "--cistern", "57.7", "--roof", "1", "--speed", "60", "--output", "run", cwd=place,
     )
-    run.wait_for_ticks()
+    bag = bag_file(run.cwd / "run")
+    wait_for(lambda: bag.exists() and bag.stat().st_size > 30_000, 120, "a growing bag")
     yield lambda: time.sleep(_STORM_S)
     run.process.terminate()
     run.wait(300)

@@ -1,29 +1,22 @@
-"""Sensors on Modbus and MQTT: what counts as a reading, and what does not."""
+"""Sensors on Modbus and MQTT: what counts as a reading; totals, of which all is published."""
 
 from __future__ import annotations
 
-import getpass
-import shutil
-import subprocess
-import threading
-import time
-from contextlib import closing, suppress
+from collections.abc import Sequence
+from contextlib import closing
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import pytest
-from brokers import Talker, mosquitto, needs_mosquitto
-from modbus_wire import Answer, SerialWire, Wire, crc
-from simulators import until
+from modbus_wire import Answer, Wire
 
 from greenroof_ros.live.devices import sensor as devices
-from greenroof_ros.live.devices.sensor import ModbusReader, MqttReader, Reader, SensorLine
+from greenroof_ros.live.devices.modbus_line import DriveError
+from greenroof_ros.live.devices.sensor import ModbusReader, MqttReader, Reader, SensorLine, Total
 from greenroof_ros.live.devices.sensor_file import ModbusSensor, MqttSensor
 
 TOPIC = "tele/roof/SENSOR"
-STARTING = "has neither a reading nor a problem yet"
-MAY_BE_OLD = "is sending again, but its first messages may be old"
+STARTING, LOST = (None, False), (None, True)  # a reading, and whether there is a problem
 
 
 MODBUS = ModbusSensor(  # 0.1 mm per count, up to 6 m, without a filter
@@ -39,12 +32,9 @@ def readers(at: str, *changed: dict[str, object], max_age: float = 3.0) -> list[
     return [ModbusReader("roof", sensor, line, max_age) for sensor in sensors]
 
 
-def result(reader: Reader) -> float | str:
-    now = reader.snapshot
-    assert now.value is None or not now.problem
-    if now.value is None and not now.problem:
-        return STARTING
-    return now.problem.removeprefix(f"{reader.sensor}: ") or now.value or 0.0
+def seen(reader: Reader) -> tuple[float | None, bool]:
+    """Return the reading, and whether there is a problem."""
+    return reader.snapshot.value, bool(reader.snapshot.problem)
 
 
 def answer(request: bytes, data: str) -> Answer:
@@ -56,40 +46,34 @@ def answer(request: bytes, data: str) -> Answer:
 # --- Modbus ---------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("data", "changed", "level"),
-    [
-        ("0BB8", {"scale": 0.001, "offset": -0.5, "kind": "holding"}, 2.5),
-        ("FF9C", {"type": "int16", "scale": 0.01, "offset": 3.0}, 2.0),  # -100
-        ("0000 4020", {"type": "float32", "word_order": "low first", "scale": 1.0}, 2.5),
-        ("8000 0000 0000 0000",
-         {"type": "uint64", "word_order": "high first", "missing": 2**63},
-         "reports 0x8000000000000000, which means 'no reading'"),
-        # A value that cannot be a level is refused with the reason.
-        ("EA61", {}, "reports 6.0001 m (raw 60001), which is not from 0 to 6 m"),
-        ("7FC0 0000", {"type": "float32", "word_order": "high first", "scale": 1.0},
-         "reports nan, which is not a number"),
-    ],
-)
+@pytest.mark.parametrize(("data", "changed", "level"), [
+    ("0BB8", {"scale": 0.001, "offset": -0.5, "kind": "holding"}, 2.5),
+    ("FF9C", {"type": "int16", "scale": 0.01, "offset": 3.0}, 2.0),  # -100
+    ("0000 4020", {"type": "float32", "word_order": "low first", "scale": 1.0}, 2.5),
+    ("8000 0000 0000 0000", {"type": "uint64", "word_order": "high first", "missing": 2**63}, None),
+    # A value that cannot be a level.
+    ("EA61", {}, None),
+    ("7FC0 0000", {"type": "float32", "word_order": "high first", "scale": 1.0}, None),
+])
 def test_scale_offset_type_and_word_order(
-    data: str, changed: dict[str, object], level: float | str
+    data: str, changed: dict[str, object], level: float | None
 ) -> None:
     with closing(Wire(lambda request: answer(request, data))) as wire:
         (reader,) = readers(wire.at, changed)
         reader.read()
         assert wire.requests[0][7] == (3 if "kind" in changed else 4)
-    assert result(reader) == (level if isinstance(level, str) else pytest.approx(level))
+    assert reader.snapshot.value == (None if level is None else pytest.approx(level))
+    assert bool(reader.snapshot.problem) == (level is None)
 
 
 def test_the_median_leaves_single_wrong_readings_out_and_starts_again_after_a_refused_one() -> None:
     """Of three: 1, 1 (of 1, 6: the lower), 1, 2 | 3 alone, then 3 (of 3, 4)."""
-    (reader,), results = readers("tcp://h", {"median": 3}), list[float | str]()
+    (reader,), results = readers("tcp://h", {"median": 3}), list[float | None]()
     for level in (1, 6, 1, 2, 7, 3, 4):
         with reader.reading():
             reader.add(level * 10_000)
-        results.append(result(reader))
-    refused = "reports 7 m (raw 70000), which is not from 0 to 6 m"
-    assert results == [1.0, 1.0, 1.0, 2.0, refused, 3.0, 3.0]
+        results.append(reader.snapshot.value)
+    assert results == [1.0, 1.0, 1.0, 2.0, None, 3.0, 3.0]
 
 
 def test_a_reading_of_long_ago_does_not_count(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -101,7 +85,7 @@ def test_a_reading_of_long_ago_does_not_count(monkeypatch: pytest.MonkeyPatch) -
     now += 4.9
     assert reader.snapshot.value == 1.0
     now += 0.2
-    assert result(reader) == "has sent nothing for 5 s"
+    assert seen(reader) == LOST
     reader.add(10_000)
     now += 3600.0
     reader.add(40_000)
@@ -111,60 +95,21 @@ def test_a_reading_of_long_ago_does_not_count(monkeypatch: pytest.MonkeyPatch) -
 # --- several on one line --------------------------------------------------------------------------
 
 
-def test_a_sensor_next_to_a_silent_or_wrong_one_on_a_serial_line() -> None:
-    """The devices 1 and 2 are at 1.0 m and 3.0 m. A failed reading takes three timeouts of 0.25 s,
-    so the other one is read often enough.
-    """
+def test_a_sensor_next_to_a_silent_or_wrong_one_behind_a_gateway() -> None:
+    """The devices 1 and 2 are at 1.0 m and 3.0 m."""
     data = {1: "2710", 2: "7530"}
 
-    def reply(request: bytes) -> bytes:
-        body = bytes.fromhex(data[request[0]])
-        body = bytes([request[0], 4, len(body)]) + body
-        return body + crc(body) if data[request[0]] else b""
-
-    with closing(SerialWire(reply)) as wire:
-        first, second = readers(wire.at, {"device_id": 1}, {"device_id": 2})
-        for wrong, problem in (
-            ("FFFF", "which is not from 0 to 6 m"), ("27102710", "the response does not fit"),
-            ("", "no valid response within 0.25 s"),
-        ):
-            for data[1] in ("2710", wrong):
-                began = time.monotonic()
-                first.read()
-                assert time.monotonic() - began < 1.5
-                second.read()
-                assert second.snapshot.value == 3.0
-                assert data[1] == wrong or first.snapshot.value == 1.0
-            assert problem in first.snapshot.problem
-
-
-@pytest.mark.parametrize("late_s", [0.3, 0.6])
-def test_a_late_answer_is_no_value_of_the_next_register(late_s: float) -> None:
-    """Two channels of one device, at 1.0 m and 3.0 m, behind a gateway.
-
-    It gives a late answer the number of the request that it received last.
-    """
-    data, wait_s, newest = {16: "2710", 17: "7530"}, 0.0, b""
-
     def reply(request: bytes) -> Answer:
-        nonlocal newest
-        newest = request
-
-        def send() -> None:
-            ((_, late),) = answer(request, data[request[9]]) or []
-            with suppress(OSError, IndexError):
-                wire.open[-1].sendall(newest[:4] + late[4:])
-
-        threading.Timer(wait_s, send).start()
-        return []
+        return answer(request, data[request[6]]) if data[request[6]] else []
 
     with closing(Wire(reply)) as wire:
-        channels = readers(wire.gateway, {"register": 16}, {"register": 17})
-        for wait_s in (0.0, late_s, late_s):
-            for reader in channels:
-                reader.read()
-            values = [reader.snapshot.value for reader in channels]
-            assert values == ([None, None] if wait_s else [1.0, 3.0])
+        first, second = readers(wire.gateway, {"device_id": 1}, {"device_id": 2})
+        for wrong in ("FFFF", "27102710", ""):
+            for data[1] in ("2710", wrong):
+                first.read()
+                second.read()
+                known = 1.0 if data[1] == "2710" else None
+                assert (first.snapshot.value, second.snapshot.value) == (known, 3.0)
 
 
 # --- MQTT -----------------------------------------------------------------------------------------
@@ -189,33 +134,31 @@ class Told:
 
     def tell(
         self, message: str, after: float = 1.1, topic: str = TOPIC, retained: bool = False
-    ) -> float | str:
-        """Send a message a while (s) after the last one, and return the result."""
+    ) -> tuple[float | None, bool]:
+        """Send a message a while (s) after the last one, and return what is then seen."""
         self.now += after
         self.reader.receive(topic, message.encode(), retained)
-        return result(self.reader)
+        return seen(self.reader)
 
 
-@pytest.mark.parametrize(("message", "path", "expected"), [
+@pytest.mark.parametrize(("message", "path", "level"), [
     ("0.031", "", 2.6),
     # A Tasmota message, and one from a gateway with several sensors.
     ('{"Time": "2026-06-01T12:00:00", "ANALOG": {"Range1": 0.031}}', "ANALOG.Range1", 2.6),
     ('{"sensors": [{"distance": 9}, {"distance": 0.031}]}', "sensors[1].distance", 2.6),
     # Neither a number, nor JSON, nor of that form, nor a level.
-    *((message, path, "which has no number") for message, path in (
+    *((message, path, None) for message, path in (
         ("true", ""), ('"2.31"', ""), ("2,31", ""), ("9" * 400, ""), ("[" * 60_000, ""),
         ('{"level": 2.3}', "depth"), ('{"level": 2.3}', "level.m"), ('{"level": []}', "level[0]"),
+        ("NaN", ""), ("-0.01", ""),
     )),
-    ("NaN", "", "reports nan, which is not a number"),
-    ("-0.01", "", "reports -1.5 m (raw -0.01), which is not from 0 to 6 m"),
 ])
 def test_what_a_message_reports(
-    message: str, path: str, expected: float | str, monkeypatch: pytest.MonkeyPatch
+    message: str, path: str, level: float | None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     told = Told(monkeypatch, scale=100.0, offset=-0.5, value=path)
     assert told.tell(message) == STARTING
-    reported = told.tell(message)
-    assert reported == expected if isinstance(expected, float) else expected in str(reported)
+    assert told.tell(message) == (level, level is None)
 
 
 def test_what_may_be_old_is_no_reading(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -226,15 +169,14 @@ def test_what_may_be_old_is_no_reading(monkeypatch: pytest.MonkeyPatch) -> None:
     told = Told(monkeypatch, max_age=2.0, median=3)
     told.reader._on_disconnect("closed")
     told.reader._on_connect()
-    assert result(told.reader) == "has sent nothing yet"
-    assert "the retained message may be old" in str(told.tell("1.5", retained=True))
+    assert told.tell("1.5", retained=True)[0] is None
     for silence in (3.0, 3600.0):
-        assert told.tell("3", after=silence) == MAY_BE_OLD
-        assert told.tell("3", after=0.9) == MAY_BE_OLD
-        assert told.tell("4", after=0.2) == 4.0
-        assert told.tell("1", topic="tele/shed/SENSOR", after=0.1) == 4.0
+        assert told.tell("3", after=silence)[0] is None
+        assert told.tell("3", after=0.9)[0] is None
+        assert told.tell("4", after=0.2) == (4.0, False)
+        assert told.tell("1", topic="tele/shed/SENSOR", after=0.1) == (4.0, False)
     told.now += 2.1
-    assert result(told.reader) == "has sent nothing for 2 s"
+    assert seen(told.reader) == LOST
 
 
 def test_at_the_start_a_sensor_is_lost_only_after_its_maximum_age(
@@ -242,59 +184,82 @@ def test_at_the_start_a_sensor_is_lost_only_after_its_maximum_age(
 ) -> None:
     """Devices publish every 12 to 30 s; what may be old is ignored without an alarm."""
     told = Told(monkeypatch, max_age=60.0)
-    assert told.tell("1", after=1.0, retained=True) == STARTING
-    assert told.tell("2", after=59.0) == STARTING
-    assert told.tell("3", after=59.0) == 3.0
+    assert told.tell("1", after=1.0, retained=True) == told.tell("2", after=59.0) == STARTING
+    assert told.tell("3", after=59.0) == (3.0, False)
     silent = Told(monkeypatch, max_age=60.0)
     silent.now += 59.9
-    assert result(silent.reader) == STARTING
+    assert seen(silent.reader) == STARTING
     silent.now += 0.2
-    assert result(silent.reader) == "has sent nothing for 60 s"
-    assert silent.tell("1") == MAY_BE_OLD
+    assert seen(silent.reader) == LOST
 
 
-@needs_mosquitto
-def test_a_broker_that_comes_or_is_killed_or_stops_answering_is_used(tmp_path: Path) -> None:
-    """A broker that hangs is reported within 15 s. A live message counts with any retain flag."""
-    with mosquitto(tmp_path) as broker, closing(MqttReader(
-        "roof", sensor_at(f"{broker.address}/{TOPIC}", max_age=1.0)
-    )) as reader:
-
-        def lost(code: str) -> bool:
-            return reader.snapshot.code == code and reader.snapshot.value is None
-
-        broker.kill()
-        reader.start()
-        for message in ("1", "2"):
-            until(lambda: lost("broker_lost"), 20)
-            broker.start() if message == "1" else broker.resume()
-            until(lambda: lost("sensor_lost"), 20)
-            with Talker(broker) as talker:
-                until(lambda message=message: talker.publish(TOPIC, message, retain=True)  # type: ignore[misc]
-                      or reader.snapshot.value == float(message), 20)
-            broker.pause()
+# Time between two looks of a sensor's node (s), and what they may add to the last rise (mm).
+LOOK_S = 0.05
+LOOK_MM = 1.01 * LOOK_S * 1e-4 / 0.001
+# When (s), and the total (mm); None for a lost connection.
+Messages = Sequence[tuple[float, float | None]]
 
 
-@needs_mosquitto
-@pytest.mark.skipif(shutil.which("openssl") is None, reason="there is no openssl here")
-def test_why_a_broker_cannot_be_used_is_reported(tmp_path: Path) -> None:
-    """An unknown certificate, another host's, TLS on one side only, a wrong password."""
-    certificate, key, login = (tmp_path / name for name in ("c.pem", "k.pem", "login.yaml"))
-    command = "openssl req -x509 -newkey rsa:2048 -nodes -subj /CN=x -addext subjectAltName=DNS:x"
-    subprocess.run(
-        [*command.split(), "-keyout", key, "-out", certificate], check=True, capture_output=True
+def published(
+    monkeypatch: pytest.MonkeyPatch, messages: Messages, until: float, *, high: float = 1e-4,
+    spread_s: float = float("inf"),
+) -> tuple[float, float, int]:
+    """Return the integral of the published rate (mm), its maximum, and the number of refusals.
+
+    Args:
+        messages: to a gauge that reports mm, in the order of their arrival.
+        until: end of the integral (s).
+    """
+    now = 0.0
+    monkeypatch.setattr(devices.time, "monotonic", lambda: now)
+    monkeypatch.setattr(devices, "boot_time", lambda: now)
+    sensor = MqttSensor(
+        address="mqtt://h/t", scale=0.001, low=0.0, high=high, max_age=60.0, counts=True
     )
-    login.write_text("username: a\npassword: wrong\n")
-    login.chmod(0o600)
-    secret = "allow_anonymous true", f"certfile {certificate}", f"keyfile {key}"
-    for lines, scheme, changed, why in (
-        (secret, "mqtts", {}, "verify failed: self-signed certificate"),
-        (secret, "mqtts", {"authority": str(certificate)}, "verify failed: IP address mismatch"),
-        (secret, "mqtt", {}, "if it expects TLS, use mqtts://"),
-        (("allow_anonymous false",), "mqtt", {"login": str(login)}, "Not authorized"),
-    ):
-        with mosquitto(tmp_path, *lines, f"user {getpass.getuser()}") as broker, closing(MqttReader(
-            "cistern", sensor_at(f"{scheme}://127.0.0.1:{broker.port}/x", **changed)
-        )) as reader:
-            reader.start()
-            until(lambda why=why, reader=reader: why in reader.snapshot.problem, 10)
+    gauge, waiting = Total(sensor, "m/s", spread_s), list(messages)
+    sum_m, highest, refused, rate = 0.0, 0.0, 0, 0.0
+    for look in range(round(until / LOOK_S)):
+        sum_m += rate * (look * LOOK_S - now)
+        now = look * LOOK_S
+        while waiting and waiting[0][0] <= now:
+            _, raw = waiting.pop(0)
+            try:
+                gauge.sensor_lost() if raw is None else gauge.add(raw)
+            except DriveError:
+                refused += 1
+                gauge.sensor_lost()
+        rate = gauge.rate() or 0.0
+        highest = max(highest, rate)
+    assert not waiting
+    return sum_m / 0.001, highest, refused
+
+
+GAUGE, METER = {"high": 1e-4}, {"high": 0.01, "spread_s": 5.0}
+HOUR = 3600
+
+
+@pytest.mark.parametrize(
+    ("sensor", "messages", "within", "risen", "highest", "refused"),
+    [
+        # The gauge starts again: what fell before and after it counts, the fall does not.
+        (GAUGE, [(0, 0.4), (10, 0.6), (20, 0.0), (30, 0.2), (40, 0.4)], 100, 0.6, 1e-4, 0),
+        # A new gauge, whose total is far higher: nothing of the jump counts.
+        (GAUGE, [(0, 17.0), (10, 17.2), (20, 900.0), (30, 900.0), (40, 900.4)], 100, 0.6, 1e-4, 1),
+        # The connection is lost for an hour of rain.
+        (GAUGE, [(0, 17.0), (30, 17.2), (31, None), (3630, 57.2), (3660, 57.4)],
+         HOUR, 40.4, 1e-4, 0),
+        # 5.8 mm in 0.6 s after 10 minutes of drizzle: all is published within about a minute.
+        (GAUGE, [(0, 0.0), (600, 0.2), (600.5, 5.0), (600.6, 6.0)], 70, 6.0, 1e-4, 0),
+        # A water meter after an outage of an hour shows no flow of long ago: a flow while the pump
+        # is stopped looks like a welded contact.
+        (METER, [(0, 0.0), (1, 3.0), (2, 6.0), (3600, 9006.0), (3603, 9006.0), (3604, 9009.0)],
+         100, 9.0, 0.003, 1),
+    ],
+)
+def test_as_much_is_published_as_the_total_rises(
+    monkeypatch: pytest.MonkeyPatch, sensor: dict[str, float], messages: Messages, within: float,
+    risen: float, highest: float, refused: int,
+) -> None:
+    result = published(monkeypatch, messages, messages[-1][0] + within, **sensor)
+    assert result[0] == pytest.approx(risen, abs=LOOK_MM if sensor is GAUGE else 0.2)
+    assert result[1] <= highest * (1 + 1e-9) and result[2] == refused

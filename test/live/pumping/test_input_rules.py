@@ -73,8 +73,7 @@ COURSES: dict[str, list[tuple[float, str, str]]] = {
     ],
     "one bad value, then a silence that no one looked at": [
         (0.0, "a value", "recovering"), (3.0, "a value", ""), (3.1, "nan", "refused"),
-        (3.2, "a value", "recovering"), (6.1, "a value", "recovering"), (6.3, "a value", ""),
-        (11.4, "a value", "recovering"), (14.3, "a value", "recovering"), (14.5, "a value", ""),
+        (3.2, "a value", "recovering"), (6.3, "a value", ""), (11.4, "a value", "recovering"),
     ],
     "two publishers, with any values": [
         (0.0, "a value", "recovering"), (3.0, "a value", ""), (3.5, "2 publishers", "publishers"),
@@ -97,22 +96,6 @@ def test_courses_of_an_input(name: str) -> None:
         assert rule(problem) == broken, now
 
 
-def test_frozen() -> None:
-    """Frozen: the pump must have lowered it by more than 1 cm, but it has not changed at all."""
-    level = LevelRule(TANK, 0.01, 0.02)
-    rules = InputRules(0.0, limit=5.0, recovery=0.0, level=level)
-    for second, value, moves, broken in (
-        *((second, 1.5, 0.002, "") for second in range(5)),
-        (5, 1.5, 0.0001, ""),  # 1 cm is not more than 1 cm
-        (6, 1.5, -1.0, "frozen"),
-        (7, 1.5, 0.0, "frozen"),  # the pump now stands, and so does the level
-        (8, 1.4999, 0.0, ""),
-    ):
-        rules.receive(second, value)
-        assert rule(rules.check(second)) == broken, second
-        level.expect(moves)
-
-
 Rate: TypeAlias = Callable[[float], float]
 
 
@@ -130,8 +113,6 @@ MAINS = replace(PAPER_SITE, mains_level=2.5, mains_flow=1e-3)
     # 5 mm/day of the roof are 13.76 mm/day of the cistern; 5 mm/day may be drift: 10 mm in
     # 27.4 h. It must be found before the pump runs dry.
     (48, in_pulses, {}, (240 / 8.76, math.inf)),
-    # A sensor shows whole steps of 5 mm, rounded down: the mains are open at 2.5 m.
-    (48, lambda _: 5e-4, {"site": MAINS, "cistern": 2.503, "roof": 0.5}, (math.inf, math.inf)),
     # A soil at field capacity is read 5 mm too low, and keeps no more.
     (1, lambda _: 0.005, {"site": FIELD_CAPACITY, "roof": 0.055}, (60 / 3600, math.inf)),
 ])

@@ -81,24 +81,14 @@ def test_each_keeps_the_pump_off_alone_and_clears_as_its_kind_does(code: str) ->
 
 
 def test_they_are_named_in_the_order_of_the_table() -> None:
-    """Without what only follows: a lost drive is not ready. A fault of another version stays.
-
-    The first fault stays; another one is named next to it while it lasts.
-    """
+    """Without what only follows: a lost drive is not ready. A fault of another version stays."""
     rig = Rig()
     rig.state_file.change(fault="burst pipe", fault_code="delivery")
     rig.state_file.hold("the operator")
-    for change, expected in (
-        ({"frost": 1.0, "roof_level": None, "reasons": [LOST]},
-         ["delivery", "hold", "roof_level_unknown", "frost", "drive_lost"]),
-        ({"reasons": [OVERLOAD]}, ["drive_fault", "delivery", "hold"]),
-        ({"reasons": [OVERLOAD, Diagnosis("runs_on", "so")]}, ["runs_on", "delivery", "hold"]),
-        ({"reasons": [NOT_READY, LOST]}, ["delivery", "hold", "drive_lost"]),
-    ):
-        rig.change = change
-        decision = rig.step(0.5)
-        assert (list(decision.active), decision.state) == (expected, "fault")
-        assert rig.state_file.state.fault == "burst pipe"
+    rig.change = {"frost": 1.0, "roof_level": None, "reasons": [NOT_READY, LOST]}
+    assert [*rig.step(0.5).active] == [
+        "delivery", "hold", "roof_level_unknown", "frost", "drive_lost",
+    ]
     rig.state_file.change(fault="it was so", fault_code="frost")
     assert next(iter(rig.step(0.5).active)) == "state_unknown"
 

@@ -46,13 +46,14 @@ def reserved_domain() -> Iterator[int]:
 
 def environment(domain: int) -> dict[str, str]:
     """Return an environment for a separate graph on loopback."""
-    tests = Path(__file__).resolve().parent
+    rigs = Path(__file__).resolve().parent
+    places = [str(place) for place in (rigs.parents[1], rigs.parent, rigs)]
     return {
         **os.environ,
         "ROS_DOMAIN_ID": str(domain),
         "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
         "PYTHONPATH": os.pathsep.join(
-            filter(None, [str(tests.parent), str(tests), os.environ.get("PYTHONPATH", "")])
+            filter(None, [*places, os.environ.get("PYTHONPATH", "")])
         ),
     }
 
@@ -193,18 +194,6 @@ class Process:
                     processes[word.rpartition(".")[2]] = pid
         return processes
 
-    def wait_for_ticks(self, size: int = 30_000) -> None:
-        """Wait until the bag in ``run`` has this size (bytes): the run is well under way."""
-        file = bag_file(self.cwd / "run")
-
-        def grown() -> bool:
-            if file.exists() and file.stat().st_size > size:
-                return True
-            assert self.process.poll() is None, self.stderr()
-            return False
-
-        wait_for(grown, 120, "a growing bag")
-
     def until_printed(self, words: str, seconds: float = 60) -> None:
         """Wait until it has printed these words on its standard error."""
         wait_for(lambda: words in self.stderr(), seconds, f"{words!r} of {self.process.args}")
@@ -277,3 +266,22 @@ def alive(pid: int) -> bool:
         return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
     except OSError:
         return False
+
+
+# --- nodes of users: the examples, with changes ---------------------------------------------------
+
+
+def changed(text: str, old: str, new: str) -> str:
+    assert text.count(old) == 1, old
+    return text.replace(old, new)
+
+
+def start_node(
+    domain: int, directory: Path, name: str, source: str, *arguments: str
+) -> subprocess.Popen[bytes]:
+    """Start a node from its source, as its user would."""
+    file = directory / f"{name}.py"
+    file.write_text(source)
+    return subprocess.Popen(
+        [sys.executable, str(file), *arguments], cwd=directory, env=environment(domain)
+    )

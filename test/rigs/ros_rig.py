@@ -63,24 +63,15 @@ def check_diagnostics(arrays: list[DiagnosticArray]) -> None:
 
     This also holds for tools that show names without slashes, or make codes of them.
     """
-    names = set()
-    for array in arrays:
-        assert array.header.stamp.sec > 0
-        assert array.status
-        for status in array.status:
-            names.add(status.name)
-            assert re.fullmatch(r"(/\w+)+(: \w[\w ]*)?", status.name)
-            assert status.hardware_id == HERE
-            assert status.level in (OK, WARN, ERROR, STALE)
-            assert status.message
-            values = {entry.key: entry.value for entry in status.values}
-            assert len(values) == len(status.values)
-            # A status that is not OK, or waits, has a code; a node's own values are JSON.
-            code, since = (values.get(key, "").strip('"') for key in ("code", "since"))
-            waits = ": " not in status.name and status.level == OK and status.message == "starting"
-            has_code = code in read_conditions() and bool(since)
-            assert has_code == (status.level != OK or waits), status
-            assert (code == "peers_awaited") == waits
+    statuses = [status for array in arrays for status in array.status]
+    for status in statuses:
+        assert re.fullmatch(r"(/\w+)+(: \w[\w ]*)?", status.name) and status.message
+        assert status.hardware_id == HERE
+        values = {entry.key: entry.value.strip('"') for entry in status.values}
+        assert len(values) == len(status.values)
+        # A status that is not OK has a code.
+        assert (status.level == OK) or (values["code"] in read_conditions() and values["since"])
+    names = {status.name for status in statuses}
     codes = {re.sub(r"\W+", "_", name).strip("_").upper() for name in names}
     assert len(codes) == len(names) and "" not in codes
 
@@ -213,7 +204,7 @@ class Site:
     def __init__(self, watcher: Observer) -> None:
         """Publish nothing yet."""
         self.watcher, self.cwd = watcher, watcher.cwd
-        self.node, self.shows, self.call = watcher.node, watcher.shows, watcher.call
+        self.node, self.shows = watcher.node, watcher.shows
         self.messages, self.diagnoses = watcher.messages, watcher.diagnoses
         self.values: dict[str, Any] = {}
         self.publishers: dict[str, Any] = {}
@@ -250,7 +241,7 @@ class Site:
         self._next = time.monotonic() + 0.1
         for topic, value in self.values.items():
             if topic not in self.publishers:
-                self.publishers[topic] = self.watcher.publisher(topic)
+                self.publishers[topic] = self.watcher.publisher(topic, self.node)
             data = value(time.monotonic()) if callable(value) else value
             self.publishers[topic].publish(message_class(_TOPICS[topic].type)(data=data))
 
@@ -263,6 +254,14 @@ class Site:
 
         messages = {name: status.message for name, status in self.diagnoses.items()}
         self.watcher.until(played, seconds, f"{event} (before: {messages})")
+
+    def call(self, kind: Any, service: str, **fields: object) -> Any:
+        """Call a service as soon as it is available, and go on publishing."""
+        client = self.watcher.node.create_client(kind, service)
+        self.until(client.service_is_ready, LATE, service)
+        future = client.call_async(kind.Request(**fields))
+        self.until(future.done, LATE, f"an answer of {service}")
+        return future.result()
 
     def during(self, seconds: float) -> None:
         """Publish values for this long (s); a pause of the machine counts for at most 0.1 s."""
@@ -296,40 +295,15 @@ FORECAST_HEADER = "issued,time,precipitation [mm/h],evapotranspiration [mm/day],
 
 def write_forecast(
     path: Path, ago: timedelta = timedelta(0), rain: float = 0.0, temperature: float = 15.0,
-    *, evapotranspiration: float = 2.0, hours: int = 12,
+    *, hours: int = 12,
 ) -> None:
     """Write a file with one issue of some hours, in one step."""
     issued = datetime.now(UTC).replace(microsecond=0) - ago
     lines = [
         f"{issued.isoformat()},{(issued + timedelta(hours=hour)).isoformat()},{rain},"
-        f"{evapotranspiration},{temperature}"
+        f"2.0,{temperature}"
         for hour in range(hours)
     ]
     draft = path.with_suffix(".new")
     draft.write_text("\n".join([FORECAST_HEADER, *lines, ""]))
     draft.replace(path)
-
-
-# Each time the file *suspended* or *suspended_in_a_decision* exists, the process finds that the
-# machine was suspended for an hour: between two decisions of a node, or during one. A node reads
-# the suspended time before and after each decision.
-SUSPENDED = """
-import os
-import sys
-import time
-from contextlib import suppress
-awake, slept, looks = time.clock_gettime, 0.0, 0
-def clock_gettime(clock):
-    global slept, looks
-    if clock != time.CLOCK_BOOTTIME:
-        return awake(clock)
-    decides = sys._getframe(2).f_code.co_name == "suspended_time"
-    looks += decides
-    for file, now in (("suspended", True), ("suspended_in_a_decision", decides and looks % 2 == 0)):
-        with suppress(FileNotFoundError):
-            if now:
-                os.unlink(file)
-                slept += 3600.0
-    return awake(clock) + slept
-time.clock_gettime = clock_gettime
-"""

@@ -101,6 +101,7 @@ def _server() -> socket.socket:
         subprocess.Popen(
             [sys.executable, __file__, str(theirs.fileno())], pass_fds=[theirs.fileno()],
             stdin=subprocess.DEVNULL,
+            env={**os.environ, "PYTHONPATH": str(Path(__file__).resolve().parents[1])},
         )
     return ours
 
@@ -180,6 +181,6 @@ def _become(
 
 
 if __name__ == "__main__":
-    sys.path[0] = str(Path(__file__).resolve().parent.parent)
-    sys.path.append(str(Path(__file__).resolve().parent))
+    rigs = Path(__file__).resolve().parent
+    sys.path[:1] = map(str, (rigs.parents[1], rigs.parent, rigs))
     _serve(socket.socket(fileno=int(sys.argv[1])))

@@ -29,7 +29,6 @@ from pymodbus.server.requesthandler import ServerRequestHandler
 from pymodbus.transport import CommType
 
 from greenroof_ros.base.command_line import add_site, command
-from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.live.devices.drive_file import DriveFile, find_drive_file
 from greenroof_ros.live.devices.exchange import read_endpoint
 from greenroof_ros.live.devices.modbus_line import (
@@ -551,17 +550,16 @@ class DistantPump:
 
 
 class SiteBench(Bench, SimulatedSite):
-    """Runs cistern and roof behind their sensors, and can write a line for each tick."""
+    """Runs cistern and roof in dry weather behind their sensors; can write a line for each tick."""
 
     def __init__(
-        self, site: Site, rain, evapotranspiration, volumes, sensors, workbench: Address,
-        drive: Address | None = None, output=None,
+        self, site: Site, volumes, sensors, workbench: Address, drive: Address | None = None,
+        output=None,
     ) -> None:
         Bench.__init__(self, workbench)
         pump = drive and DistantPump(drive, lambda: self.virtual_site.levels()[0], self.log)
         SimulatedSite.__init__(
-            self, site, rain, evapotranspiration, volumes, sensors,
-            lambda: pump.speed if pump else 0.0,
+            self, site, [0.0], [0.0], volumes, sensors, lambda: pump.speed if pump else 0.0,
         )
         self._fault_since, self._frozen, self._output = 0, dict[str, float](), output
         for server in self.servers:  # each has its own sensors
@@ -642,15 +640,12 @@ def local(port: int) -> Address:
 
 
 def drive_simulator(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--drive", required=True)
-    parser.add_argument("--port", type=int, default=5020)
-    parser.add_argument("--serial")
-    parser.add_argument("--at")
-    parser.add_argument("--workbench", type=int, default=0)
-    parser.add_argument("--ramp", type=float, default=5.0)
-    parser.add_argument("--boot", type=float, default=3.0)
-    parser.add_argument("--timeout", type=float, default=5.0)
-    parser.add_argument("--speed", type=float, default=1.0)
+    for name in ("drive", "serial", "at"):
+        parser.add_argument(f"--{name}")
+    for name, default in (("port", 5020), ("workbench", 0)):
+        parser.add_argument(f"--{name}", type=int, default=default)
+    for name, seconds in (("ramp", 5.0), ("boot", 3.0), ("timeout", 5.0), ("speed", 1.0)):
+        parser.add_argument(f"--{name}", type=float, default=seconds)
     add_site(parser)
     given = parser.parse_args()
     path, workbench = find_drive_file(given.drive), local(given.workbench)
@@ -672,22 +667,14 @@ def site_simulator(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--sensors", type=Path)
     parser.add_argument("--drive-at", type=parse_address)
     parser.add_argument("--workbench", type=int, default=0)
-    parser.add_argument("--rain", type=float, help="mm/h")
-    parser.add_argument("--constant-evapotranspiration", type=float, help="mm/day")
     parser.add_argument("--output", type=Path)
     add_site_arguments(parser.add_argument_group("site"))
     given = parser.parse_args()
     run = build_run(given)
-    rain, loss = run.series.precipitation, run.series.evapotranspiration
-    if given.rain is not None:
-        rain = [given.rain * 1e-3 / 3600]
-    if given.constant_evapotranspiration is not None:
-        loss = [given.constant_evapotranspiration * 1e-3 / 86400 * run.site.a2]
     sensors = read_sensors(given.sensors or default_sensors())
     with given.output.open("w") if given.output else contextlib.nullcontext() as output:
         bench = SiteBench(
-            run.site, rain, loss, (run.x1, run.x2), sensors,
-            local(given.workbench), given.drive_at, output,
+            run.site, (run.x1, run.x2), sensors, local(given.workbench), given.drive_at, output,
         )
         asyncio.run(bench.serve())
 
@@ -695,12 +682,8 @@ def site_simulator(parser: argparse.ArgumentParser) -> None:
 @command
 def main() -> None:
     """Run the program that the first argument names."""
-    programs = (drive_simulator, site_simulator)
-    wanted = {program.__name__: program for program in programs}[sys.argv.pop(1)]
-    try:
-        wanted(argparse.ArgumentParser())
-    except OSError as error:
-        raise ConfigurationError(str(error)) from error
+    programs = {"drive_simulator": drive_simulator, "site_simulator": site_simulator}
+    programs[sys.argv.pop(1)](argparse.ArgumentParser())
 
 
 if __name__ == "__main__":

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import os
-import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 
 
@@ -19,24 +18,6 @@ def in_domain(domain: int) -> Iterator[None]:
     finally:
         os.environ.clear()
         os.environ.update(before)
-
-
-@contextmanager
-def repeating(act: Callable[[], object], period: float) -> Iterator[None]:
-    """Do something again and again in another thread, with a pause (s) before each time."""
-    ended = threading.Event()
-
-    def repeat() -> None:
-        while not ended.wait(period):
-            act()
-
-    thread = threading.Thread(target=repeat)
-    thread.start()
-    try:
-        yield
-    finally:
-        ended.set()
-        thread.join()
 
 
 class Peer:

@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 import contextlib
-import os
 import re
-import select
 import socket
 import struct
 import threading
 import time
-import tty
 from collections.abc import Callable
 
 # What answers a request: frames, each after a wait (s); None closes the connection.
@@ -167,71 +164,3 @@ def acs880() -> Registers:
 
     drive.on_write = moved
     return drive
-
-
-def crc(data: bytes) -> bytes:
-    """Return the CRC of an RTU frame, low byte first.
-
-    Modbus over serial line V1.02, section 6.2.2: a shift register preset to ones, polynomial
-    0xA001.
-    """
-    value = 0xFFFF
-    for byte in data:
-        value ^= byte
-        for _ in range(8):
-            carry = value & 1
-            value >>= 1
-            if carry:
-                value ^= 0xA001
-    return value.to_bytes(2, "little")
-
-
-class SerialWire:
-    """The other end of a serial line, a pseudo-terminal.
-
-    It records and answers every eight bytes, the length of requests with functions 03 and 06. An
-    answer in pieces comes slowly.
-    """
-
-    def __init__(self, answer: Callable[[bytes], bytes | list[bytes]]) -> None:
-        self.answer = answer
-        self.requests: list[bytes] = []
-        self._ours, self._theirs = os.openpty()
-        tty.setraw(self._theirs)
-        self.at = os.ttyname(self._theirs)
-        self._ended = threading.Event()
-        self._thread = threading.Thread(target=self._serve, daemon=True)
-        self._thread.start()
-
-    def _serve(self) -> None:
-        data = b""
-        while not self._ended.is_set():
-            if select.select([self._ours], [], [], 0.05)[0]:
-                with contextlib.suppress(OSError):
-                    data += os.read(self._ours, 256)
-            while len(data) >= 8:
-                self.requests.append(data[:8])
-                answer = self.answer(data[:8])
-                for piece in [answer] if isinstance(answer, bytes) else answer:
-                    os.write(self._ours, piece)
-                    time.sleep(0 if isinstance(answer, bytes) else 0.02)
-                data = data[8:]
-
-    def close(self) -> None:
-        """Unplug the line."""
-        if not self._ended.is_set():
-            self._ended.set()
-            self._thread.join()
-            os.close(self._ours)
-            os.close(self._theirs)
-
-
-def rtu_server(registers: Registers) -> Callable[[bytes], bytes]:
-    """Return a function that answers RTU frames from registers."""
-
-    def answer(request: bytes) -> bytes:
-        assert crc(request[:6]) == request[6:]
-        frames = registers(bytes([0, 0, 0, 0, 0, 6]) + request[:6]) or []
-        return b"".join(data[6:] + crc(data[6:]) for _, data in frames)
-
-    return answer
