@@ -1,4 +1,4 @@
-"""Real-time simulation of a cistern, its valve and a roof, with sensors on Modbus and MQTT."""
+"""Real-time simulation of a cistern and a roof with sensors on Modbus and MQTT."""
 
 from __future__ import annotations
 
@@ -14,54 +14,13 @@ from typing import Any
 from greenroof_ros.base.mqtt import make_client, parse_path
 from greenroof_ros.live.devices.modbus_line import encode, parse_address
 from greenroof_ros.live.devices.sensor_file import ModbusSensor, MqttSensor, Sensors
+from greenroof_ros.live.simulators.relay import LEAK, SimulatedValve
 from greenroof_ros.live.simulators.server import Server, make_device
 from greenroof_ros.physics.parameters import State
 from greenroof_ros.physics.pump import flow_at
 from greenroof_ros.physics.sensor_and_pump import SensorAndPump
 from greenroof_ros.physics.virtual_site import VirtualSite
 from greenroof_ros.site.site import Site
-
-FAULTS = "stuck_open", "stuck_closed", "leak", "wrong_switch"
-# Flow through a valve that leaks (m3/s).
-LEAK = 2.0 / 60_000
-# The end switches are on within this share of the ends.
-_AT_END = 0.01
-
-
-class SimulatedValve:
-    """A valve that opens while its relay is on, and otherwise closes.
-
-    Attributes:
-        position: share to which the valve is open, 0 to 1.
-        fault: the fault that it has; empty for none.
-    """
-
-    def __init__(self, on: Callable[[], bool], travel_s: float, fault: str = "") -> None:
-        """Initialize a closed valve.
-
-        Args:
-            on: function that returns whether the relay is on.
-            travel_s: time that the valve takes to open or to close (s).
-            fault: one of `FAULTS`; empty for none.
-        """
-        self._on, self._travel_s = on, travel_s
-        self.position, self._at = 0.0, time.monotonic()
-        self.fault = fault
-
-    def advance(self) -> float:
-        """Move the valve until now, and return its position."""
-        before, self._at = self._at, time.monotonic()
-        opens = self._on()
-        if self.fault != ("stuck_closed" if opens else "stuck_open"):
-            way = (self._at - before) / self._travel_s
-            self.position = min(max(self.position + (way if opens else -way), 0.0), 1.0)
-        return self.position
-
-    def switches(self) -> dict[str, float]:
-        """Return the states of the end switches, by their sections of the sensor file."""
-        is_open = self.position >= 1 - _AT_END or self.fault == "wrong_switch"
-        return {"open_switch": is_open, "closed_switch": self.position <= _AT_END}
-
 
 # Number of readings of the drive's speed per tick, if there is time for as many.
 _POLLS = 20
