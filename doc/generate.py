@@ -420,10 +420,10 @@ def nodes() -> str | None:
     if importlib.util.find_spec("rclpy") is None:
         return None
     from greenroof_ros.live import controller as live_controller
-    from greenroof_ros.live import external_pump, pump, sensors, valve
+    from greenroof_ros.live import external_pump, pump, station, valve
     from greenroof_ros.live import recorder as live_recorder
     from greenroof_ros.live import weather as live_weather
-    from greenroof_ros.live.levels import LIMITS
+    from greenroof_ros.live.live_input import LIMITS
     from greenroof_ros.nodes import alarms, controller, plant, recorder, weather
     site = read_site(default_site_file())
     declared = {
@@ -431,7 +431,7 @@ def nodes() -> str | None:
         "recorder": recorder.parameters(site), "controllers": controller.parameters(None),
         "live_weather": live_weather.parameters(site),
         "live_controller": live_controller.parameters(None),
-        "live_recorder": live_recorder.parameters(site), "sensors": sensors.parameters(site),
+        "live_recorder": live_recorder.parameters(site), "sensors": station.parameters(site),
         "pump": pump.parameters(site), "pump_guard": external_pump.parameters(site),
         "valve": valve.parameters(read_site(default_site_file().with_name("site_valve.yaml"))),
         "alarms": alarms.parameters(site),

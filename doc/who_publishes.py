@@ -12,8 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
 
-from greenroof_ros.interface.topics import Topic, read_topics
-from greenroof_ros.live.live_topics import read_live_topics
+from greenroof_ros.interface.topics import Topic, read_live_topics, read_topics
 
 _LABELS, _COLUMN, _ROW, _HEAD = 312, 33, 28, 150
 # A name's box: its top, height and half its width (px).

@@ -11,6 +11,7 @@ import os
 import re
 import sys
 import textwrap
+import traceback
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
@@ -18,6 +19,8 @@ from typing import TYPE_CHECKING, Any, NoReturn
 from greenroof_ros.base.errors import (
     ConfigurationError,
     FailedError,
+    HangError,
+    LockstepError,
     OccupiedError,
     describe_choices,
     find_similar,
@@ -40,6 +43,32 @@ EXIT_INTERRUPTED = INTERRUPTED
 def exit_code(error: Exception) -> int:
     """Return the exit code for a configuration error: 3 if another graph is running, or else 2."""
     return EXIT_OCCUPIED if isinstance(error, OccupiedError) else EXIT_USAGE
+
+
+def describe_error(error: Exception) -> str:
+    """Return an unexpected error as one line: its type, message and location in the code."""
+    place = traceback.extract_tb(error.__traceback__)[-1]
+    return f"{type(error).__name__}: {error} ({place.filename}, line {place.lineno})"
+
+
+def print_failure(error: Exception) -> tuple[str, int]:
+    """Print why a node or a run failed, and return it as a sentence, with the exit code.
+
+    A traceback comes first if the error was not expected.
+    """
+    failure, code = explain(error)
+    if failure != str(error):
+        traceback.print_exception(error)
+    print(f"error: {failure}", file=sys.stderr)
+    return failure, code
+
+
+def explain(error: Exception) -> tuple[str, int]:
+    """Return a sentence that states why a node or a run failed, and the exit code."""
+    if isinstance(error, ConfigurationError):
+        return str(error), exit_code(error)
+    known = isinstance(error, (LockstepError, OSError, HangError))
+    return str(error) if known else describe_error(error), EXIT_FAILED
 
 
 def _discard_what_cannot_be_printed() -> None:
@@ -271,3 +300,23 @@ def add_option(group: argparse._ArgumentGroup, parameter: Parameter, **settings:
 def option_of(name: str) -> str:
     """Return the name of the option for an input."""
     return f"--{name.replace('_', '-')}"
+
+
+CHECKED_NODE = "check the running node of this name, with its namespace if it has one: /site1/pump"
+"""help of the option for the node that a command checks"""
+
+
+def print_results(title: str, results: Iterable[tuple[str, str]]) -> int:
+    """Print results as they come, and return exit code 0 if every check passed, otherwise 1.
+
+    Args:
+        title: the first line.
+        results: for each check what it requires, and the problem; empty if it passed.
+    """
+    print(title)
+    problems = []
+    for check, problem in results:
+        problems.append(problem)
+        print(f"  failed: {check}: {problem}" if problem else f"  passed: {check}")
+    print(f"{problems.count('')} of {len(problems)} checks passed")
+    return EXIT_FAILED if any(problems) else EXIT_DONE

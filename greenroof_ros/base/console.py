@@ -1,17 +1,23 @@
-"""The console that prints tables and progress."""
+"""The console that prints tables, and progress on standard error."""
 
 from __future__ import annotations
 
+import time
 from collections.abc import Collection, Iterable, Sequence
 from typing import Any
 
 from rich import box
 from rich.console import Console
 from rich.measure import Measurement
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 from rich.text import Text
 
+from greenroof_ros.base.processes import Signals
 from greenroof_ros.base.text import escape
+
+# How often progress is printed without a terminal (s), for the first time after this time.
+_EVERY_S = 10.0
 
 
 class PlainConsole(Console):
@@ -55,3 +61,44 @@ class PlainConsole(Console):
                 column.min_width = max([column.min_width or 0, *map(len, cell.split())])
         needed = Measurement.get(self, self.options.update(max_width=1000), table).minimum
         self.print(table, width=max(self.width, needed), crop=False)
+
+
+class ProgressBar(Progress):
+    """Progress bar with the current task and the completed share of all tasks.
+
+    Without a terminal, it prints a line every ten seconds instead.
+    """
+
+    def __init__(self, file: Any = None, signals: Signals | None = None) -> None:
+        """Create the bar.
+
+        Args:
+            file: stream on which the bar is drawn; None for standard error.
+            signals: signals that end the work at the next call of :meth:`show`.
+        """
+        console = PlainConsole(stderr=True, file=file)
+        super().__init__(
+            TextColumn("{task.description}", markup=False), BarColumn(),
+            TextColumn("{task.percentage:>3.0f} %"), TimeRemainingColumn(),
+            console=console, disable=not console.is_interactive,
+            refresh_per_second=2,  # its thread competes with the run
+        )
+        self._task = self.add_task("", total=1.0)
+        self._signals, self._due = signals, time.monotonic() + _EVERY_S
+
+    def print_line(self, text: str) -> None:
+        """Print a line above the bar."""
+        self.console.print(text, soft_wrap=True)
+
+    def show(self, text: str, share: float) -> None:
+        """Show the current task and the completed share of all tasks, from 0 to 1.
+
+        Raises:
+            InterruptedRun: if a signal has been received.
+        """
+        if self._signals is not None:
+            self._signals.check()
+        self.update(self._task, description=escape(text), completed=share)
+        if self.disable and (now := time.monotonic()) >= self._due:
+            self._due = now + _EVERY_S
+            self.print_line(f"{text}: {share:.0%}")

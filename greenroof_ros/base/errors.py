@@ -1,4 +1,4 @@
-"""Errors that a user can fix by editing a file or an option."""
+"""Errors that a user can fix by editing a file or an option, and errors that end a run."""
 
 from __future__ import annotations
 
@@ -81,6 +81,14 @@ def rename_keys(names: Mapping[str, str]) -> Iterator[None]:
 
 class FailedError(Exception):
     """Raised if what a command was asked for could not be done; the command exits with code 1."""
+
+
+class LockstepError(Exception):
+    """Raised if the graph cannot continue; the message names the topic and the node."""
+
+
+class MalformedMessageError(Exception):
+    """Raised if the bytes received do not form a message of the topic's type."""
 
 
 class HangError(Exception):

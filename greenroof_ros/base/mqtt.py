@@ -1,4 +1,4 @@
-"""The address of an MQTT broker, and a client that connects to it.
+"""The address of an MQTT broker, a client that connects to it, and values in JSON messages.
 
 The client uses MQTT 3.1.1 with a clean session, so the broker stores no messages for a disconnected
 client. The client connects automatically, and tries again after every failure. Messages with
@@ -208,3 +208,22 @@ def _read_login(file: Path) -> tuple[str, str]:
         if not isinstance(login.get(name), str):
             raise ConfigurationError("must be text", file=file, key=name)
     return login["username"], login["password"]
+
+
+_STEP = re.compile(r"\[(\d+)\]|([^.\[\]]+)")
+
+
+def parse_path(path: str) -> list[str | int]:
+    """Return the names and indices in a JSON path such as ``sensors[0].distance``."""
+    return [int(index) if index else name for index, name in _STEP.findall(path)]
+
+
+def value_at(content: Any, path: str) -> Any:
+    """Return the value at a path in a JSON value.
+
+    Raises:
+        LookupError, TypeError: if there is no value at the path.
+    """
+    for step in parse_path(path):
+        content = content[step]
+    return content

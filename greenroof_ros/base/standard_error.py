@@ -1,14 +1,10 @@
-"""Output on standard error: lines written by a thread, and progress lines.
-
-A thread writes the lines so that time-critical code does not wait.
-"""
+"""Lines on standard error, which a thread writes so that time-critical code does not wait."""
 
 from __future__ import annotations
 
 import atexit
 import os
 import time
-from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
 
@@ -16,8 +12,8 @@ from greenroof_ros.base.disk import DiskThread
 
 # How much may wait (bytes), and how long the end of the process waits for it (s).
 _ROOM, _END_S = 1_000_000, 2.0
-# How often progress is printed, and how often a line that others can cause (s).
-_EVERY_S, _SELDOM_S = 10.0, 60.0
+# How often a line that others can cause is printed (s).
+_SELDOM_S = 60.0
 
 
 class Lines:
@@ -92,23 +88,3 @@ class Lines:
 LINES = Lines(2)
 print_line, print_seldom = LINES.print_line, LINES.print_seldom
 atexit.register(LINES.wait, _END_S)
-
-
-class ProgressLines:
-    """Printer that reports progress at most every ten seconds, and not in the first ten seconds."""
-
-    def __init__(self, print_line: Callable[[str], None] = print_line) -> None:
-        """Start the interval of ten seconds.
-
-        Args:
-            print_line: function that prints a line; by default, on standard error.
-        """
-        self._print_line = print_line
-        self._due = time.monotonic() + _EVERY_S
-
-    def update(self, text: str) -> None:
-        """Update the progress, and print it if a line is due."""
-        now = time.monotonic()
-        if now >= self._due:
-            self._due = now + _EVERY_S
-            self._print_line(text)

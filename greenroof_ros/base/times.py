@@ -1,10 +1,12 @@
-"""Reading, writing and converting times."""
+"""Reading, writing and converting times, and the clock of the machine since it started."""
 
 from __future__ import annotations
 
 import functools
 import re
+import time
 from datetime import datetime, timedelta, timezone, tzinfo
+from pathlib import Path
 
 from greenroof_ros.base.errors import ConfigurationError
 
@@ -129,3 +131,23 @@ def read_start(text: str, zone: tzinfo | None = None) -> datetime:
             f"is a time that the clocks in {start.tzinfo} skip", key="start", value=text
         )
     return start.replace(tzinfo=timezone(start.utcoffset() or timedelta()))
+
+
+def boot_time() -> float:
+    """Return the time since the machine started (s), including time spent suspended.
+
+    ``time.monotonic()`` stops during a suspend, so values measured before a suspend would still
+    seem new after it.
+    """
+    return time.clock_gettime(time.CLOCK_BOOTTIME)
+
+
+@functools.cache
+def boot_id() -> str:
+    """Return an identifier of the machine's current boot."""
+    return Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip()
+
+
+def suspended_time() -> float:
+    """Return the total time for which the machine has been suspended since it started (s)."""
+    return boot_time() - time.monotonic()

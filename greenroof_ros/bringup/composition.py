@@ -9,10 +9,11 @@ from collections import Counter
 from pathlib import Path
 from typing import Any
 
-from greenroof_ros.base.command_line import EXIT_DONE, EXIT_FAILED, EXIT_INTERRUPTED
-from greenroof_ros.base.processes import InterruptedRun, Signals
+from greenroof_ros.base.command_line import EXIT_DONE, EXIT_FAILED, EXIT_INTERRUPTED, explain
+from greenroof_ros.base.console import ProgressBar
+from greenroof_ros.base.processes import InterruptedRun, Signals, Watchdog
 from greenroof_ros.base.standard_error import LINES, print_line
-from greenroof_ros.bringup.progress import RunProgress
+from greenroof_ros.base.times import hours_minutes_seconds
 from greenroof_ros.controllers.registry import EXTERNAL
 from greenroof_ros.interface.states import PLANT, RECORDER
 from greenroof_ros.nodes.alarms import AlarmsNode
@@ -22,9 +23,7 @@ from greenroof_ros.nodes.recorder import RecorderNode
 from greenroof_ros.nodes.weather import RecordedWeather
 from greenroof_ros.ros.alarms import ROLE
 from greenroof_ros.ros.domain import lock_bringup, ros_arguments
-from greenroof_ros.ros.errors import explain
 from greenroof_ros.ros.spin import destroy_nodes, end_nodes, ros, spin
-from greenroof_ros.ros.watchdog import Watchdog
 from greenroof_ros.simulation import screen, summary
 from greenroof_ros.simulation.directory import make_run_directory, write_configuration
 from greenroof_ros.simulation.run import Run
@@ -32,6 +31,9 @@ from greenroof_ros.simulation.run import Run
 # How long messages of a node that is not composed here are still received after the last tick (s):
 # a node that publishes twice per tick can be found only then.
 _EXTRA_S = 0.5
+_TICK = (
+    "{}, cistern {cistern_level:.3f} m, roof {roof_level:.4f} m, command {command:.3f}"
+)
 
 
 def run_graph(run: Run, arguments: argparse.Namespace, signals: Signals) -> int:
@@ -109,7 +111,10 @@ def _run_nodes(
                 progress.print_line(f"warning: there are no more alarms: {explain(error)[0]}")
                 beside.clear()
         if plant.acted:
-            progress.show_tick(**plant.progress())
+            tick = plant.progress()
+            progress.show(_TICK.format(
+                hours_minutes_seconds(tick["tick"] * run.site.tau), **tick
+            ), tick["tick"] / run.steps)
         else:
             missing = ", ".join(plant.absent())
             progress.show(f"waiting for {missing}" if missing else "starting", 0.0)
@@ -117,7 +122,7 @@ def _run_nodes(
             finished_at = min(finished_at, time.monotonic())
         return time.monotonic() - finished_at >= extra_s
 
-    with RunProgress(run.steps, run.site.tau, LINES) as progress:
+    with ProgressBar(LINES) as progress:
         try:
             spin(in_lockstep, may_end, beside)
         finally:

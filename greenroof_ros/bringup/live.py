@@ -8,8 +8,7 @@ from functools import partial
 
 from greenroof_ros.base.command_line import EXIT_DONE, command
 from greenroof_ros.bringup.start import bring_up
-from greenroof_ros.live.live_site import LiveSite, make_parser
-from greenroof_ros.live.site_run import run_live
+from greenroof_ros.live.live_site import LiveSite, make_parser, run_live
 
 
 @command

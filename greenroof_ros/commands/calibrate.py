@@ -34,10 +34,9 @@ from greenroof_ros.base.command_line import (
     print_lines,
     refuse_unwritable,
 )
-from greenroof_ros.base.console import PlainConsole
+from greenroof_ros.base.console import PlainConsole, ProgressBar
 from greenroof_ros.base.errors import rename_keys, require_extra
 from greenroof_ros.base.files import add_path_to_errors
-from greenroof_ros.base.progress import ProgressBar
 
 
 def make_parser() -> Parser:

@@ -20,11 +20,17 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from greenroof_ros.base.command_line import Parser, add_site, command, make_number_type
+from greenroof_ros.base.command_line import (
+    CHECKED_NODE,
+    Parser,
+    add_site,
+    command,
+    make_number_type,
+    print_results,
+)
 from greenroof_ros.base.files import default_site_file, find_shipped
 from greenroof_ros.controllers.check import check_controller
 from greenroof_ros.controllers.registry import BUILT_IN, find_controller
-from greenroof_ros.nodes.check_results import NODE, print_results
 from greenroof_ros.ros.domain import prepare_ros
 from greenroof_ros.site.file import read_site
 from greenroof_ros.site.horizon import MAX_HORIZON
@@ -38,7 +44,7 @@ def make_parser() -> Parser:
         "controller", nargs="?", metavar="CONTROLLER",
         help=f"check this controller: package.module:Class, or one of {', '.join(BUILT_IN)}",
     )
-    subject.add_argument("--node", metavar="NAME", help=NODE)
+    subject.add_argument("--node", metavar="NAME", help=CHECKED_NODE)
     parser.add_argument(
         "--horizon", type=make_number_type(0.0, MAX_HORIZON), default=0.0, metavar="H",
         help="with --node, length of the forecasts to send (h), as for 'greenroof run "
@@ -55,8 +61,7 @@ def main() -> int:
     site = read_site(find_shipped(arguments.site))
     if arguments.node is not None:
         prepare_ros()
-        from greenroof_ros.nodes.check import check_node
-        from greenroof_ros.nodes.check_controller import ControllerCheck
+        from greenroof_ros.nodes.check import ControllerCheck, check_node
         return print_results(arguments.node, check_node(
             lambda: ControllerCheck(arguments.node, site, horizon=arguments.horizon)
         ))

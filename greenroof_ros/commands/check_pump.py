@@ -16,8 +16,14 @@ Exit codes: 0 all checks passed, 1 a check failed, 2 the driver was not found, 3
 
 from __future__ import annotations
 
-from greenroof_ros.base.command_line import Parser, add_site, command, make_number_type
-from greenroof_ros.nodes.check_results import NODE, print_results
+from greenroof_ros.base.command_line import (
+    CHECKED_NODE,
+    Parser,
+    add_site,
+    command,
+    make_number_type,
+    print_results,
+)
 from greenroof_ros.ros.domain import prepare_ros
 from greenroof_ros.site.file import read_site
 
@@ -25,7 +31,7 @@ from greenroof_ros.site.file import read_site
 def make_parser() -> Parser:
     """Return the command's parser."""
     parser = Parser.of("check-pump", __doc__, "--node NAME [options]")
-    parser.add_argument("--node", required=True, metavar="NAME", help=NODE)
+    parser.add_argument("--node", required=True, metavar="NAME", help=CHECKED_NODE)
     parser.add_argument(
         "--command", type=make_number_type(0.001, 1.0), default=0.5, metavar="SHARE",
         help="run the pump at this share of its maximum flow (default: 0.5)",
@@ -48,8 +54,7 @@ def main() -> int:
     """Check the driver named on the command line."""
     arguments = make_parser().parse_args()
     prepare_ros()
-    from greenroof_ros.nodes.check import check_node
-    from greenroof_ros.nodes.check_pump import PumpCheck, describe_duration
+    from greenroof_ros.nodes.check import PumpCheck, check_node, describe_duration
     print(f"THE PUMP WILL RUN. The check takes {describe_duration(arguments.period)}.")
     site = read_site(arguments.site)
     code = print_results(arguments.node, check_node(lambda: PumpCheck(

@@ -22,11 +22,10 @@ from __future__ import annotations
 from pathlib import Path
 
 from greenroof_ros.base.command_line import Parser, command, make_number_type, print_lines
-from greenroof_ros.base.console import PlainConsole
+from greenroof_ros.base.console import PlainConsole, ProgressBar
 from greenroof_ros.base.errors import require_extra
 from greenroof_ros.base.files import find_shipped
 from greenroof_ros.base.processes import Signals, count_cores
-from greenroof_ros.base.progress import ProgressBar
 
 _PRINTED = ("wet_discharge_m3", "wet_discharge_reduction", "retention_share", "mains_m3")
 

@@ -33,8 +33,8 @@ from greenroof_ros.base.command_line import (
     make_number_type,
     refuse_unwritable,
 )
+from greenroof_ros.base.console import ProgressBar
 from greenroof_ros.base.files import replace_text
-from greenroof_ros.base.progress import ProgressBar
 from greenroof_ros.base.text import escape
 from greenroof_ros.base.times import FIRST_YEAR
 from greenroof_ros.commands.weather_file import show_records

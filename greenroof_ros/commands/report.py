@@ -15,8 +15,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from greenroof_ros.base.command_line import Parser, command
+from greenroof_ros.base.console import ProgressBar
 from greenroof_ros.base.errors import require_extra
-from greenroof_ros.base.progress import ProgressBar
 from greenroof_ros.base.text import escape
 
 _PAGE = "report.html"

@@ -19,9 +19,9 @@ from datetime import timedelta
 from pathlib import Path
 
 from greenroof_ros.base.command_line import Parser, command, make_number_type
+from greenroof_ros.base.console import ProgressBar
 from greenroof_ros.base.files import add_path_to_errors
 from greenroof_ros.base.processes import InterruptedRun, Signals
-from greenroof_ros.base.progress import ProgressBar
 from greenroof_ros.base.times import hours_minutes_seconds
 from greenroof_ros.results.trajectory import CSV, Trajectory, columns_of
 from greenroof_ros.simulation import screen, summary

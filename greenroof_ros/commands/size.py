@@ -32,10 +32,9 @@ from greenroof_ros.base.command_line import (
     make_number_type,
     option_of,
 )
-from greenroof_ros.base.console import PlainConsole
+from greenroof_ros.base.console import PlainConsole, ProgressBar
 from greenroof_ros.base.errors import rename_keys, require_extra
 from greenroof_ros.base.processes import Signals, count_cores
-from greenroof_ros.base.progress import ProgressBar
 from greenroof_ros.simulation.inputs import INPUTS
 from greenroof_ros.weather.climate import CLIMATE
 

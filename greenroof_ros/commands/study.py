@@ -31,11 +31,10 @@ from greenroof_ros.base.command_line import (
     command,
     make_number_type,
 )
-from greenroof_ros.base.console import PlainConsole
+from greenroof_ros.base.console import PlainConsole, ProgressBar
 from greenroof_ros.base.errors import require_extra
 from greenroof_ros.base.files import find_shipped
 from greenroof_ros.base.processes import InterruptedRun, Signals
-from greenroof_ros.base.progress import ProgressBar
 from greenroof_ros.base.text import escape
 from greenroof_ros.weather.summary import as_lines
 

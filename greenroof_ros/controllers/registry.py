@@ -15,8 +15,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from greenroof_ros.base.errors import ConfigurationError, describe_choices, suggest_names
-from greenroof_ros.base.parameter import Parameter
-from greenroof_ros.base.parameter_sections import read_sections
+from greenroof_ros.base.parameter import Parameter, read_sections
 from greenroof_ros.controllers import outlet
 from greenroof_ros.controllers.adapt import adapt
 from greenroof_ros.controllers.decide import OwnCode, find_frame

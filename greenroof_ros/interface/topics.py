@@ -7,7 +7,7 @@ import math
 import sys
 from array import array
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from greenroof_ros.base.errors import ConfigurationError
@@ -183,3 +183,16 @@ def recorded_topics(outputs: Mapping[str, str], site: object) -> list[Topic]:
         if topic.per_tick and (not topic.optional or topic.name in outputs)
         and (not topic.needs or getattr(site, topic.needs))
     ]
+
+
+def read_live_topics() -> dict[str, Topic]:
+    """Return the topics of a live graph, with the roles that replace the plant."""
+    return {
+        name: replace(
+            topic,
+            publishers=topic.live_publishers or topic.publishers,
+            subscribers=topic.subscribers + topic.live_subscribers,
+        )
+        for name, topic in read_topics().items()
+        if topic.live
+    }

@@ -11,16 +11,22 @@ from greenroof_ros.base.interrupts import begin_program
 
 begin_program(__name__)
 
+import json
 import math
+import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from greenroof_ros.base.disk import DISK
 from greenroof_ros.base.errors import ConfigurationError
+from greenroof_ros.base.files import read_yaml, replace_text
 from greenroof_ros.base.parameter import Parameter
+from greenroof_ros.base.processes import time_limit
+from greenroof_ros.base.ranges import Range
 from greenroof_ros.base.times import from_epoch_ns, to_people
 from greenroof_ros.controllers.decide import ControllerError, locate_error, may_decide
 from greenroof_ros.controllers.onoff import FRACTION, OnOff
@@ -28,15 +34,64 @@ from greenroof_ros.controllers.outlet import OutletPolicy
 from greenroof_ros.controllers.protocol import set_optional
 from greenroof_ros.controllers.registry import ControllerChoice, find_controller
 from greenroof_ros.interface.conditions import Diagnosis
-from greenroof_ros.live.levels import RECOVERY, Levels, live_parameters
-from greenroof_ros.live.live_input import LiveInput, bad_inputs
+from greenroof_ros.live.live_input import RECOVERY, Levels, LiveInput, bad_inputs, live_parameters
 from greenroof_ros.live.node import LiveNode, live_command
-from greenroof_ros.live.number_file import NumberFile
 from greenroof_ros.live.upkeep import deciding_limit
 from greenroof_ros.nodes.controller import FORECASTS, FROST, LEVELS, ControllerNode, Outputs
 from greenroof_ros.ros.diagnostics import ERROR, WARN
 from greenroof_ros.ros.parameters import declare, site_file
-from greenroof_ros.ros.watchdog import time_limit
+
+_CLOSE_S = 2.0
+_FINITE = Range(-sys.float_info.max, sys.float_info.max)
+
+
+class NumberFile:
+    """A file of named numbers, of which only the latest count.
+
+    The disk thread writes, because a disk may stop responding. The file is replaced as a whole, so
+    that a power cut leaves either the old or the new file.
+    """
+
+    def __init__(self, file: Path) -> None:
+        """Store the path of the file, which need not exist yet."""
+        self._file, self._problem = file, ""
+
+    @property
+    def problem(self) -> str:
+        """The reason why the latest numbers are not being written; empty for no problem."""
+        return "the disk does not respond" if DISK.late else self._problem
+
+    def write(self, values: Mapping[str, float]) -> None:
+        """Queue numbers for writing; they replace those that have not been written yet."""
+        self._values = values
+        if not DISK.do(self._write_latest):
+            self._problem = "the queue of the disk is full"
+
+    def _write_latest(self) -> None:
+        try:
+            replace_text(self._file, json.dumps(self._values, indent=1), parents=True)
+            self._problem = ""
+        except Exception as error:  # whatever it is, the next numbers are still tried
+            self._problem = str(error)
+
+    def read(self) -> dict[str, float]:
+        """Return the numbers in the file; an empty mapping if there is no file.
+
+        Raises:
+            ConfigurationError: if the file cannot be read, or is not a mapping of names to finite
+                numbers.
+        """
+        if not self._file.exists():
+            return {}
+        return {
+            name: _FINITE.read(value, key=name, file=self._file)
+            for name, value in read_yaml(self._file).items()  # JSON is YAML
+        }
+
+    def close(self) -> None:
+        """Wait at most two seconds until all numbers are written."""
+        DISK.wait(_CLOSE_S)
+
 
 _FLOW, _GAUGE, _HOLD = "/pump/flow", "/gauge/precipitation", "/pump/hold"
 # Multiples of recovery_time: for how long the controller must have failed, or a forecast have been

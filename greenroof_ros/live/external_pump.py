@@ -24,11 +24,11 @@ from rclpy.task import Future
 from std_srvs.srv import SetBool
 
 from greenroof_ros.base.parameter import Parameter
+from greenroof_ros.base.times import boot_time
 from greenroof_ros.interface.conditions import Diagnosis
 from greenroof_ros.interface.states import PUMP
-from greenroof_ros.live.actuator import COMMAND, FLOW, STATE, STATE_FILE, ActuatorNode
-from greenroof_ros.live.boot_clock import boot_time
-from greenroof_ros.live.levels import live_parameters
+from greenroof_ros.live.actuator import COMMAND, FLOW, STATE_FILE, ActuatorNode
+from greenroof_ros.live.live_input import live_parameters
 from greenroof_ros.live.node import live_command
 from greenroof_ros.live.pumping.interlocks import Decision, Following, evaluate, state_of
 from greenroof_ros.live.pumping.limits import pump_parameters
@@ -74,7 +74,7 @@ class ExternalPumpNode(ActuatorNode):
         self._told: dict[str, tuple[bool, Future]] = {}
         self._idle_for = 0.0  # for how long it has not been pumping as commanded (s)
         self._command, self._flow = self.subscribe(COMMAND), self.subscribe(FLOW)
-        self.open_outputs(_HOLD, STATE)
+        self.open_outputs(_HOLD)
         self.discard_evidence()
 
     def discard_evidence(self, checked: bool = False) -> None:

@@ -1,22 +1,31 @@
-"""The inputs of a live node: their latest values, the rules they violate, and their publishers."""
+"""The inputs of a live node: their values, limits and publishers, and the rules they violate."""
 
 from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from typing import Any
 
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 
+from greenroof_ros.base.parameter import Parameter
+from greenroof_ros.base.times import boot_time
 from greenroof_ros.interface.conditions import Diagnosis
-from greenroof_ros.interface.topics import Topic
-from greenroof_ros.live.boot_clock import boot_time
-from greenroof_ros.live.pumping.input_rules import AWAITED, InputRules
-from greenroof_ros.ros.inputs import Input
-from greenroof_ros.ros.publishers import Publishers
+from greenroof_ros.interface.topics import Topic, read_topics
+from greenroof_ros.live.pumping.input_rules import (
+    AWAITED,
+    InputRules,
+    LevelRule,
+    cistern_bounds,
+    expected_movements,
+    roof_bounds,
+)
+from greenroof_ros.ros.graph_node import Publishers
+from greenroof_ros.ros.messages import Input
+from greenroof_ros.site.site import Site
 
 # A node's name and its other endpoints may be discovered this long after its publisher (s).
 _DISCOVERY_S = 1.0
@@ -40,7 +49,8 @@ class LivePublishers(Publishers):
             optional: whether the node acts without the topic.
         """
         required = replace(topic.qos, durability="volatile", depth=1)
-        super().__init__(node, topic, required, optional=optional)
+        super().__init__(node, topic, required)
+        self.optional = optional
         self._by_lease = math.isfinite(self.required.lease_s)
         self._alive = 0  # counted only if there is a lease
         self._incompatible_at = -math.inf  # when the middleware last reported an incompatible one
@@ -152,3 +162,84 @@ def bad_inputs(inputs: Iterable[LiveInput]) -> Diagnosis | None:
     topics = " ".join(dict.fromkeys(str(each.values["topic"]) for each in diagnoses))
     text = "; ".join(each.sentence for each in diagnoses)
     return replace(worst, text=text, values={**worst.values, "topics": topics})
+
+
+RECOVERY = Parameter(
+    "recovery_time", 10.0, "s", 0.0, 86400.0,
+        "time for which a rejected input must satisfy all rules before it is used again",
+)
+_FROZEN_MOVEMENT = Parameter(
+    "frozen_movement", 0.01, "", 1e-6, 10.0,
+        "change that the pump should have caused before an unchanged level counts as frozen (m); "
+        "must exceed the sensor's resolution",
+)
+_JUMP_TOLERANCE = Parameter(
+    "jump_tolerance", 0.02, "", 1e-6, 10.0,
+        "maximum difference between two values of a level beyond what water can cause (m); at "
+        "least 10 times the standard deviation of the noise",
+)
+
+
+# The maximum age of every topic on which nodes act in a live graph.
+LIMITS = {
+    topic.name: Parameter(
+        age.parameter, age.default, "s", 0.1, age.max, f"maximum age of {age.quantity}"
+    )
+    for topic in read_topics().values() if (age := topic.max_age) is not None
+}
+
+
+def live_parameters(topics: Iterable[str]) -> list[Parameter]:
+    """Return the parameters of a live node that acts on the given topics."""
+    limits = dict.fromkeys(LIMITS[topic] for topic in topics)
+    of_levels = [_FROZEN_MOVEMENT, _JUMP_TOLERANCE] if LIMITS["/roof/level"] in limits else []
+    return [*limits, RECOVERY, *of_levels]
+
+
+class Levels:
+    """Levels of the cistern and the roof as inputs, with checks for physically possible changes.
+
+    Attributes:
+        cistern: the cistern's level.
+        roof: the roof's level.
+    """
+
+    def __init__(
+        self, site: Site, values: Mapping[str, Any], subscribe: Callable[..., LiveInput], *,
+        needs_roof: bool = True,
+    ) -> None:
+        """Open both inputs.
+
+        Args:
+            site: site to which the tanks belong.
+            values: values of the node's :func:`live_parameters`.
+            subscribe: function that opens an input:
+                :meth:`greenroof_ros.live.node.LiveNode.subscribe`.
+            needs_roof: whether the node does not act without the level of the roof.
+        """
+        self._site, self._frozen_movement = site, values[_FROZEN_MOVEMENT.name]
+        self._rules = [
+            LevelRule(bounds, self._frozen_movement, values[_JUMP_TOLERANCE.name])
+            for bounds in (cistern_bounds(site), roof_bounds(site))
+        ]
+        self.cistern = subscribe("/cistern/level", level=self._rules[0])
+        self.roof = subscribe(
+            "/roof/level", optional=not needs_roof, level=self._rules[1]
+        )
+
+    @property
+    def displacements(self) -> tuple[float, float]:
+        """Total displacements of both levels' readings by impossible jumps so far (m)."""
+        cistern, roof = self._rules
+        return cistern.displacement, roof.displacement
+
+    def expect(self, flow: float) -> None:
+        """Set the level changes that the pump's flow (m3/s) must cause in a tick.
+
+        A coarse sensor may be off by half of the movement beyond which a level is frozen.
+        """
+        movements = expected_movements(
+            self._site, flow, self.cistern.value, self.roof.value, self._frozen_movement / 2
+        )
+        for rule, movement in zip(self._rules, movements, strict=True):
+            rule.expect(movement * self._site.tau)

@@ -16,20 +16,18 @@ from typing import Any, NoReturn
 
 from rclpy.executors import SingleThreadedExecutor
 
+from greenroof_ros.base.times import boot_time, suspended_time
 from greenroof_ros.interface.conditions import Diagnosis
 from greenroof_ros.interface.states import DriveState
-from greenroof_ros.live.boot_clock import boot_time, suspended_time
-from greenroof_ros.live.levels import LIMITS, RECOVERY
-from greenroof_ros.live.live_input import LiveInput, LivePublishers, bad_inputs
-from greenroof_ros.live.live_topics import read_live_topics
+from greenroof_ros.interface.topics import read_live_topics
+from greenroof_ros.live.live_input import LIMITS, RECOVERY, LiveInput, LivePublishers, bad_inputs
 from greenroof_ros.live.pumping.input_rules import AWAITED, InputRules, LevelRule
 from greenroof_ros.live.upkeep import send_beat
 from greenroof_ros.ros.diagnostics import ERROR, WARN
-from greenroof_ros.ros.executable import node_command
 from greenroof_ros.ros.graph_node import GraphNode
 from greenroof_ros.ros.messages import qos_profile
 from greenroof_ros.ros.reports import PAUSE_S
-from greenroof_ros.ros.spin import start_receiving
+from greenroof_ros.ros.spin import node_command, start_receiving
 from greenroof_ros.site.site import Site
 
 # Longest time after its start at which a node first acts (s).
@@ -66,13 +64,6 @@ class LiveNode(GraphNode):
         self._checked = -math.inf
 
     # --- to override ------------------------------------------------------------------------
-
-    def on_start(self) -> None:
-        """Start what the node needs; called once, when all nodes of the process have been made.
-
-        Raises:
-            ConfigurationError: if a library is missing.
-        """
 
     def on_inputs(self) -> None:
         """Act at the end of a period; see :attr:`good`."""

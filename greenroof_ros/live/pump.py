@@ -25,15 +25,13 @@ from typing import Any
 from rcl_interfaces.srv import SetParametersAtomically
 
 from greenroof_ros.base.parameter import Parameter
+from greenroof_ros.base.times import boot_time
 from greenroof_ros.interface.conditions import Diagnosis
 from greenroof_ros.interface.states import PUMP
-from greenroof_ros.live.actuator import COMMAND, FLOW, STATE, STATE_FILE, read_fields
-from greenroof_ros.live.boot_clock import boot_time
+from greenroof_ros.live.actuator import COMMAND, DRIVE_PARAMETERS, FLOW, DriveNode, read_fields
 from greenroof_ros.live.devices.drive_file import MAX_RAMP_S
-from greenroof_ros.live.devices.exchange import UNREAD_S, DriveSnapshot
-from greenroof_ros.live.drive_node import DRIVE_PARAMETERS, TIMEOUT_LIMIT, DriveNode
-from greenroof_ros.live.levels import Levels, live_parameters
-from greenroof_ros.live.live_input import LiveInput
+from greenroof_ros.live.devices.exchange import DriveSnapshot
+from greenroof_ros.live.live_input import Levels, LiveInput, live_parameters
 from greenroof_ros.live.node import live_command
 from greenroof_ros.live.pumping.interlocks import Decision
 from greenroof_ros.live.pumping.limits import Observation, PumpSettings, pump_parameters
@@ -69,7 +67,7 @@ _DOSE = (
 def parameters(site: Site) -> list[Parameter]:
     """Return the node's parameters."""
     return [
-        site_file(), *DRIVE_PARAMETERS, STATE_FILE, *pump_parameters(site),
+        site_file(), *DRIVE_PARAMETERS, *pump_parameters(site),
         *live_parameters([*_INPUTS.values(), *([_POSITION] if site.low_outlet_valve else [])]),
     ]
 
@@ -93,7 +91,7 @@ class PumpNode(DriveNode):
             PumpSettings(min_speed=max(_MIN_SPEED, self.endpoint.file.min_speed), **settings),
             self.state_file,
             # Time after which a drive that does not respond is stopped (s).
-            drive_stops_after=UNREAD_S + values[TIMEOUT_LIMIT.name] + MAX_RAMP_S,
+            drive_stops_after=self.stops_after_s + MAX_RAMP_S,
         )
         self._levels = Levels(self.site, values, self.subscribe)
         for topic in _INPUTS.values():
@@ -103,7 +101,7 @@ class PumpNode(DriveNode):
         if self.site.low_outlet_valve:
             self._outlet = self.subscribe(_POSITION, optional=True)
         self._flows = self.subscribe(FLOW, optional=True).publishers
-        self.open_outputs(FLOW, STATE)
+        self.open_outputs(FLOW)
         self.open_service("dose", SetParametersAtomically, self._dose)
 
     # --- requests ---------------------------------------------------------------------------------

@@ -24,12 +24,10 @@ from typing import Any
 from rcl_interfaces.srv import SetParametersAtomically
 
 from greenroof_ros.base.parameter import Parameter
+from greenroof_ros.base.times import boot_time
 from greenroof_ros.interface.states import VALVE
-from greenroof_ros.live.actuator import FLOW, STATE_FILE, read_fields
-from greenroof_ros.live.boot_clock import boot_time
-from greenroof_ros.live.devices.exchange import UNREAD_S
-from greenroof_ros.live.drive_node import DRIVE_PARAMETERS, TIMEOUT_LIMIT, DriveNode
-from greenroof_ros.live.levels import Levels, live_parameters
+from greenroof_ros.live.actuator import DRIVE_PARAMETERS, FLOW, DriveNode, read_fields
+from greenroof_ros.live.live_input import Levels, live_parameters
 from greenroof_ros.live.node import live_command
 from greenroof_ros.live.pumping.interlocks import Decision
 from greenroof_ros.live.pumping.state_file import MAX_TIME
@@ -44,7 +42,7 @@ from greenroof_ros.ros.parameters import site_file
 from greenroof_ros.ros.reports import PAUSE_S
 from greenroof_ros.site.site import Site
 
-_POSITION, _OUTFLOW, _STATE = "/outlet/position", "/outlet/flow", "/outlet/state"
+_POSITION, _OUTFLOW = "/outlet/position", "/outlet/flow"
 # Topics of the inputs, by the fields of ValveObservation.
 _INPUTS = {
     "command": "/outlet/command",
@@ -71,7 +69,7 @@ _OPEN = (
 def parameters(site: Site) -> list[Parameter]:
     """Return the node's parameters."""
     return [
-        site_file(), *DRIVE_PARAMETERS, STATE_FILE, *valve_parameters(site),
+        site_file(), *DRIVE_PARAMETERS, *valve_parameters(site),
         *live_parameters([*_INPUTS.values(), "/roof/level"]),
     ]
 
@@ -92,7 +90,7 @@ class ValveNode(DriveNode):
         settings = {each.name: values[each.name] for each in valve_parameters(site)}
         self._control = ValveControl(
             site, ValveSettings(**settings), self.state_file,
-            relay_stops_after=UNREAD_S + values[TIMEOUT_LIMIT.name],
+            relay_stops_after=self.stops_after_s,
         )
         missing = {
             *(() if values["has_switches"] else _SWITCHES), *(() if site.irrigated else ["pumped"])
@@ -102,7 +100,7 @@ class ValveNode(DriveNode):
         for topic in self.observed.values():
             if topic not in self.inputs:
                 self.subscribe(topic, optional=topic == FLOW)
-        self.open_outputs(_POSITION, _OUTFLOW, _STATE)
+        self.open_outputs(_POSITION, _OUTFLOW)
         self.open_service("open", SetParametersAtomically, self._open)
 
     def discard_evidence(self, checked: bool = False) -> None:

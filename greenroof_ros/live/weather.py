@@ -24,8 +24,7 @@ from greenroof_ros.forecast.live import ForecastFile, LiveForecast, NoForecastEr
 from greenroof_ros.forecast.service import ATTRIBUTION, MAX_DAYS, Fetcher, ForecastFiles, Service
 from greenroof_ros.forecast.steps import Outlook
 from greenroof_ros.interface.conditions import Diagnosis
-from greenroof_ros.live.levels import live_parameters
-from greenroof_ros.live.live_input import LiveInput
+from greenroof_ros.live.live_input import LiveInput, live_parameters
 from greenroof_ros.live.node import LiveNode, live_command
 from greenroof_ros.live.pumping.input_rules import AWAITED
 from greenroof_ros.nodes.weather import WeatherNode

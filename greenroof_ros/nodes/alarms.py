@@ -7,28 +7,134 @@ in ``alarms.jsonl``, and prints the changes, and at the start a list of what kee
 
 from __future__ import annotations
 
+import json
 import math
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.time import Time
 
+from greenroof_ros.base.disk import DiskThread
+from greenroof_ros.base.files import replace_text
 from greenroof_ros.base.parameter import Parameter
 from greenroof_ros.base.standard_error import Lines
-from greenroof_ros.interface.alarm import ALARMS, ERROR, advise
+from greenroof_ros.interface.alarm import ALARMS, ERROR, Alarm, advise, to_record, to_status
 from greenroof_ros.interface.states import DriveState
 from greenroof_ros.interface.topics import read_topics
-from greenroof_ros.nodes.alarm_log import AlarmLog
-from greenroof_ros.ros.alarm_status import to_status
-from greenroof_ros.ros.alarms import RESTARTED, ROLE, Diagnoses, Judge
+from greenroof_ros.results.alarm_file import read_alarms
+from greenroof_ros.ros.alarms import RESTARTED, ROLE, Diagnoses, Judge, describe_alarm
 from greenroof_ros.ros.graph_node import GraphNode
 from greenroof_ros.ros.messages import qos_profile
 from greenroof_ros.ros.parameters import declare
 from greenroof_ros.ros.reports import PAUSE_S, Reports, StatusDiagnosis, read_statuses
+
+# Size beyond which alarms.jsonl is written anew, with this many of the newest alarms (bytes).
+_FULL, _KEPT = 1_000_000, 1000
+# How long the start waits for the file to be read (s).
+_RESUMED_S = 5.0
+_NOT_SHOWN = "; alarms from before this start will not be shown"
+# Its own disk thread, since the recorder's may be full of messages; a node that is made again reads
+# the file after the node before it has written.
+_DISK = DiskThread()
+
+
+class AlarmLog:
+    """Log that prints every alarm that begins or ends, and stores every change immediately.
+
+    A line is added to the file for every change. If that fails, or if the file is too large, all
+    alarms are written anew.
+
+    Attributes:
+        last_number: number of the last alarm in the file.
+    """
+
+    def __init__(self, tell: Callable[[str], object], file: Path | None) -> None:
+        """Continue the file from earlier starts, and end the alarms that are still active in it.
+
+        Args:
+            tell: function that prints a line of text.
+            file: file to which the disk thread writes every change; None to write nothing.
+        """
+        self._tell, self._file = tell, file
+        self._alarms: dict[int, Alarm] = {}
+        self._problem = ""  # why all alarms must be written anew; empty if a line may be added
+        self._write_all = partial(self._write, None)  # the same object, so that it is queued once
+        if file is not None and not (_DISK.do(self._resume) and _DISK.wait(_RESUMED_S)):
+            tell(f"warning: {file}: the disk does not respond{_NOT_SHOWN}")
+        self.last_number = max(self._alarms, default=0)
+
+    def _resume(self) -> None:
+        """Read the file (in the disk thread), and write it anew, since its last line may be cut."""
+        file, began = self._file, time.time()
+        if file is None or not file.is_file():
+            return
+        try:
+            read = {
+                alarm.number: replace(alarm, ended=began if alarm.ended is None else alarm.ended)
+                for alarm in read_alarms(file.parent)
+            }
+        except (OSError, ValueError) as error:
+            self._tell(f"warning: {error}{_NOT_SHOWN}")
+        else:
+            self._alarms = read | self._alarms  # if it came late, there are new ones
+            self._write_all()
+
+    def add(self, changed: Iterable[Alarm]) -> None:
+        """Print and store alarms; a new level or cause is stored but not printed."""
+        for alarm in changed:
+            title, text = _name(alarm), describe_alarm(alarm)
+            if alarm.ended is not None:
+                self._tell(f"{title} is over, after {alarm.seconds:.1f} s: {text}")
+            elif alarm.number not in self._alarms:
+                roots = "".join(
+                    f" (follows from {_name(each)})" for each in self._alarms.values()
+                    if each.name == alarm.follows and each.ended is None
+                )
+                self._tell(f"{title}: {text}{roots}")
+            self._alarms[alarm.number] = alarm
+            _DISK.do(partial(self._write, alarm))
+        for number in [*self._alarms][:-_KEPT]:
+            if self._alarms[number].ended is not None:
+                del self._alarms[number]
+
+    def write(self) -> None:
+        """Try again if the last write failed; call this once a second."""
+        if self._problem:
+            _DISK.do(self._write_all)
+
+    def _write(self, added: Alarm | None) -> None:
+        """Add an alarm to the file, or write all of them anew (in the disk thread)."""
+        file = self._file
+        if file is None or (added is not None and self._problem):
+            return  # all will be written anew
+        alarms = [added] if added is not None else [*self._alarms.values()]
+        lines = "".join(f"{json.dumps(to_record(alarm))}\n" for alarm in alarms)
+        try:
+            if added is None:
+                replace_text(file, lines)
+            else:
+                with file.open("a", encoding="utf-8") as stream:
+                    stream.write(lines)
+            self._problem = "it is full" if file.stat().st_size > _FULL else ""
+        except OSError as error:
+            problem = error.strerror or str(error)
+            if problem != self._problem:
+                self._tell(f"warning: {file}: {problem}; another attempt is made every second")
+            self._problem = problem
+
+    def wait(self, seconds: float) -> None:
+        """Wait for a limited time (s) until everything is written."""
+        _DISK.wait(seconds)
+
+
+def _name(alarm: Alarm) -> str:
+    return f"{'alarm' if alarm.is_serious else 'warning'} {alarm.number}"
+
 
 # Interval at which the alarms are judged, and at which they are published without a change (s).
 _JUDGE_S, _PUBLISH_S = 0.25, 1.0
@@ -91,9 +197,6 @@ class AlarmsNode(GraphNode):
     # --- running, beside other nodes ------------------------------------------------------------
 
     wait_s = _JUDGE_S
-
-    def on_start(self) -> None:
-        """Do nothing, as the node needs nothing more."""
 
     def report_state(self, **values: object) -> None:
         """Report nothing: /alarms itself shows that the node runs."""

@@ -10,7 +10,8 @@ import math
 import time
 from abc import ABC, abstractmethod
 from array import array
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import permutations
 from typing import Any
@@ -21,11 +22,15 @@ from std_msgs.msg import Float64
 
 from greenroof_ros.base.errors import ConfigurationError, OccupiedError
 from greenroof_ros.base.processes import Signals
+from greenroof_ros.controllers.check import trial_values
 from greenroof_ros.interface.topics import read_topics
+from greenroof_ros.physics.start import initial_states
 from greenroof_ros.ros import messages
+from greenroof_ros.ros.graph_node import name_owner
 from greenroof_ros.ros.lockstep import CLOCK, RUN
-from greenroof_ros.ros.publishers import name_owner
+from greenroof_ros.ros.messages import WithFront
 from greenroof_ros.ros.spin import ros
+from greenroof_ros.site.horizon import look_ahead_ends
 from greenroof_ros.site.site import Site
 
 CISTERN, ROOF, FROST = "/cistern/level", "/roof/level", "/weather/frost"
@@ -305,3 +310,225 @@ def check_node(make: Callable[[], NodeCheck]) -> Iterator[tuple[str, str]]:
                         break
         finally:
             check.node.destroy_node()
+
+
+# --- the check of a controller --------------------------------------------------------------------
+
+_FORECASTS = ("/forecast/precipitation", "/forecast/evapotranspiration")
+_NOT_FINITE = (math.nan, math.inf, -math.inf)
+# Number of ticks after the first in which the command must stay 0.
+_STAYS = 2
+# Share of its target at which a roof is dry, and of its outlet's level at which a cistern is full,
+# for a valve to open. Simulated time within which a controller must water that roof (s), as it may
+# limit the pump's starts.
+_DRY, _FULL, _WATERS_S = 0.5, 1.5, 3600.0
+# By how much a solver's answers to equal inputs may differ.
+_EQUAL = 1e-6
+
+
+class ControllerCheck(NodeCheck):
+    """Check of one controller node; it also commands an outlet valve if the site has one."""
+
+    required = (CISTERN, ROOF, FROST)
+    optional = _FORECASTS
+
+    def __init__(self, controller: str, site: Site, *, horizon: float) -> None:
+        """Prepare a check.
+
+        Args:
+            controller: name of the controller's node.
+            site: site from which the levels of the check are derived.
+            horizon: length of the forecasts (h), with steps of increasing length; 0 for the next M
+                ticks.
+        """
+        outputs = [COMMAND, "/outlet/command"] if site.low_outlet_valve else [COMMAND]
+        usual = {
+            CISTERN: _FULL * site.z_o, ROOF: _DRY * site.z_veg,
+            **dict.fromkeys((FROST, *self.optional), 0.0),
+        }
+        super().__init__(controller, site, outputs, usual)
+        # The numbers in front of a forecast: no time of issue, and the ends of the steps.
+        self._front = array("d", [math.nan, *look_ahead_ends(site, horizon)[1:]])
+
+    def story(self) -> Story:
+        """Tell when a controller must not water, after which it must water again."""
+        yield "its topics match the interface", self.match_topics
+        yield "waters a dry roof", self._water
+        yield "commands 0 in frost", self._command_0, FROST, (1.0,)
+        for topic in self.required:
+            yield f"commands 0 while {topic} is not finite", self._command_0, topic, _NOT_FINITE
+        for topic in self.optional:
+            hidden = [{topic: value} for value in _NOT_FINITE]
+            yield f"its commands are valid while {topic} is not", self._answer, hidden
+        yield "waits for its inputs in any order", self.answer_in_any_order, _EQUAL
+        trials = [
+            dict(zip((CISTERN, ROOF, *_FORECASTS), trial, strict=True))
+            for trial in trial_values(self.site)
+        ]
+        yield "its commands are valid at all levels", self._answer, trials
+        yield "sends one command for each tick, and ends with the plant", self.end
+
+    def _command_0(self, topic: str, values: Sequence[float]) -> None:
+
+        def off(answers: Values) -> bool:
+            """Return whether the pump is off, and the valve closed unless there is just frost."""
+            return not (answers[COMMAND] if math.isfinite(values[0]) else any(answers.values()))
+
+        for value in values:
+            self._water()
+            self.until(off, {topic: value}, within=0.0, stays=_STAYS)
+        self._water()
+
+    def _water(self) -> None:
+        """Require a command above 0; otherwise, a later command of 0 would prove nothing."""
+        self.until(lambda answers: answers[COMMAND] > 0, within=_WATERS_S, ends=True)
+
+    def _answer(self, trials: Iterable[Values]) -> None:
+        for trial in trials:
+            self.tick(trial)
+
+    def publish(self, topic: str, value: Any) -> None:
+        """Publish a value; a forecast has it in all of its steps."""
+        if topic in _FORECASTS:
+            value = WithFront(self._front, array("d", [value] * (len(self._front) - 1)))
+        super().publish(topic, value)
+
+
+# --- the check of a pump driver -------------------------------------------------------------------
+
+FLOW = "/pump/flow"
+# A flow is steady if this many answers vary by at most this share of the largest. A pump that is
+# off must stay off for as many further ticks.
+_STEADY_TICKS, _STEADY = 11, 0.01
+# A flow up to this share of the steady one counts as 0, as the pump runs down or the meter is
+# noisy. The first flow of a pump that was stopped is at most the second share.
+_NONE, _AT_REST = 0.01, 0.5
+# A flow more than this share above the flow at command 1 exceeds the maximum, as noise is smaller.
+_NOISE = 0.05
+# Commands at which a pump must be off.
+_NO_COMMANDS = (math.nan, math.inf, -1.0, 0.0)
+# The cistern has this much water above the suction level (m3), which is enough for all checks. Its
+# level falls as water is pumped, but stays this far above the suction level (m), since a driver may
+# stop 2 cm above it to allow for sensor error. Then it is this far below that level, and after rain
+# this far above it, which is more than a driver may need.
+_WATER, _ABOVE_SUCTION, _BELOW_SUCTION, _REFILLED = 1.5, 0.022, 0.001, 0.5
+# Longest time from a command until the flow is steady, and from a reason to stop until the flow is
+# 0 (s): the longest ramp of a drive, and the time that it takes to notice.
+START_S, STOP_S = 60.0, 35.0
+# Time without a command after which the pump must have stopped (s).
+SILENCE_S = 5.0
+# Least number of ticks of the story, and how often it starts and stops the pump.
+_TICKS, _STARTS = 330, 11
+
+
+def describe_duration(period: float) -> str:
+    """Return how long the check takes, which depends on how fast the pump starts and stops.
+
+    Args:
+        period: minimum duration of a tick (s).
+    """
+    longest = _TICKS * period + SILENCE_S + _STARTS * (START_S + STOP_S)
+    return f"up to {math.ceil(longest / 60)} minutes"
+
+
+class PumpCheck(NodeCheck):
+    """Check of one pump driver."""
+
+    required = (COMMAND,)
+    optional = (CISTERN, ROOF, FROST)
+
+    def __init__(
+        self, driver: str, site: Site, *, command: float, period: float, live: bool
+    ) -> None:
+        """Prepare a check.
+
+        Args:
+            driver: name of the driver's node.
+            site: site from which the levels of the check are derived.
+            command: command at which the pump is run (share of its maximum flow).
+            period: minimum time between two commands (s).
+            live: whether the driver publishes its flow at its own rate rather than once per
+                command.
+        """
+        # Low, so that the roof has room for all water that will be pumped.
+        self._dry_roof = 0.5 * initial_states(site)["low-low"][1] / site.a2
+        cistern = site.suction_level + _WATER / site.a1
+        usual = {CISTERN: cistern, ROOF: self._dry_roof, FROST: 0.0, COMMAND: command}
+        super().__init__(driver, site, [FLOW], usual, period=period, live=live)
+        self._steady = 0.0
+
+    def story(self) -> Story:
+        """Tell what must stop a pump, after which it must run again."""
+        suction, command = self.site.suction_level, self.usual[COMMAND]
+        yield "its topics match the interface", self.match_topics
+        yield "is off at command 0", self._stay_off, {COMMAND: 0.0}, 0.0
+        yield f"runs steadily at command {command:g}", self._run
+        if not self.live:
+            tolerance = _AT_REST * self._steady
+            yield "waits for its inputs in any order", self.answer_in_any_order, tolerance
+        yield "treats a command above 1 as 1", self._limit
+        for when, sent, afterwards in (
+            *((f"at command {value:g}", {COMMAND: value}, {}) for value in _NO_COMMANDS),
+            ("in frost", {FROST: 1.0}, {}),
+            ("while frost is unknown (NaN)", {FROST: math.nan}, {}),
+            ("while the cistern's level is unknown (NaN)", {CISTERN: math.nan}, {}),
+            ("while the roof's level is unknown (NaN)", {ROOF: math.nan}, {ROOF: self._dry_roof}),
+            ("when the cistern is at the suction level", {CISTERN: suction - _BELOW_SUCTION},
+             {CISTERN: suction + _REFILLED}),
+        ):
+            yield f"stops {when}, and runs again", self._stop, sent, afterwards
+        yield f"stops while {COMMAND} has a second publisher, and runs again", self._double
+        yield f"stops within {SILENCE_S:g} s of the last command", self._fall_silent
+
+    def tick(self, unusual: Values = USUAL, order: Sequence[str] = ()) -> dict[str, float]:
+        """Publish a tick, and move the water that is pumped."""
+        answers = super().tick(unusual, order)
+        pumped = answers[FLOW] * (self.period if self.live else self.site.tau)
+        lowest = self.site.suction_level + _ABOVE_SUCTION
+        self.usual[CISTERN] = max(self.usual[CISTERN] - pumped / self.site.a1, lowest)
+        self.usual[ROOF] += pumped / self.site.a2
+        return answers
+
+    def _stay_off(self, sent: Values, within: float) -> None:
+        self.until(
+            lambda answers: answers[FLOW] <= _NONE * self._steady, sent, within=within,
+            stays=_STEADY_TICKS - 1,
+        )
+
+    def _run(self, sent: Values = USUAL) -> float:
+        """Repeat a tick until the flow is steady and above 0; return it."""
+        flows = deque[float](maxlen=_STEADY_TICKS)
+
+        def steady(answers: Values) -> bool:
+            flows.append(answers[FLOW])
+            varies = max(flows) - min(flows) > _STEADY * max(flows)
+            return len(flows) == _STEADY_TICKS and min(flows) > 0 and not varies
+
+        self.until(steady, sent, within=START_S, ends=True)
+        self._steady = flows[-1]
+        return self._steady
+
+    def _stop(self, sent: Values, afterwards: Values = USUAL) -> None:
+        """Require that the pump stops, and that it runs again afterwards."""
+        self._stay_off(sent, STOP_S)
+        self.usual |= afterwards
+        self._run()
+
+    def _double(self) -> None:
+        second = self.open(COMMAND)
+        self._stay_off(USUAL, STOP_S)
+        self.node.destroy_publisher(second)
+        self._run()
+
+    def _limit(self) -> None:
+        most, more = self._run({COMMAND: 1.0}), self._run({COMMAND: 3.0})
+        too_much = f"{more:.3g} m3/s at command 3, {most:.3g} m3/s at command 1"
+        self.require(more <= (1 + _NOISE) * most, too_much)
+        self._run()
+
+    def _fall_silent(self) -> None:
+        """Send nothing for a while; unless the flow goes on coming, infer it from the next one."""
+        self.wait(SILENCE_S)
+        flow = self.received[FLOW][-1].data if self.live else self.tick()[FLOW]
+        runs_on = f"{flow:.3g} m3/s after the silence, {self._steady:.3g} m3/s before it"
+        self.require(flow <= (0.0 if self.live else _AT_REST * self._steady), runs_on)

@@ -24,11 +24,11 @@ from greenroof_ros.controllers.protocol import set_optional
 from greenroof_ros.controllers.registry import ControllerChoice, find_controller
 from greenroof_ros.interface.topics import optional_topics
 from greenroof_ros.physics.storm_water import WITHOUT_RAIN
-from greenroof_ros.ros.executable import node_command
 from greenroof_ros.ros.graph_node import GraphNode
-from greenroof_ros.ros.inputs import Input
 from greenroof_ros.ros.lockstep import CLOCK, LockstepNode
+from greenroof_ros.ros.messages import Input
 from greenroof_ros.ros.parameters import declare, site_file
+from greenroof_ros.ros.spin import node_command
 
 LEVELS = "/cistern/level", "/roof/level"
 FORECASTS = "/forecast/precipitation", "/forecast/evapotranspiration"

@@ -18,7 +18,7 @@ from array import array
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from greenroof_ros.base.errors import OccupiedError
+from greenroof_ros.base.errors import LockstepError, OccupiedError
 from greenroof_ros.base.parameter import Parameter
 from greenroof_ros.base.times import DEFAULT_START, epoch_ns, read_start
 from greenroof_ros.interface.states import PLANT
@@ -29,12 +29,10 @@ from greenroof_ros.physics.storm_water import WITHOUT_RAIN
 from greenroof_ros.physics.tick import OWN_PUMPS
 from greenroof_ros.physics.virtual_site import VirtualSite
 from greenroof_ros.results.metrics import Metrics
-from greenroof_ros.ros.errors import LockstepError
-from greenroof_ros.ros.executable import node_command
 from greenroof_ros.ros.lockstep import CLOCK, RUN, LockstepNode
 from greenroof_ros.ros.messages import decoder
 from greenroof_ros.ros.parameters import declare, site_file
-from greenroof_ros.ros.spin import STEADY
+from greenroof_ros.ros.spin import STEADY, node_command
 from greenroof_ros.site.site import Site
 
 # How far the plant may be ahead of the ticks that the recorder has flushed (ticks).

@@ -10,16 +10,16 @@ import math
 from array import array
 from dataclasses import replace
 
+from greenroof_ros.base.errors import LockstepError
 from greenroof_ros.base.parameter import Parameter, make_record
 from greenroof_ros.base.times import DEFAULT_START, epoch_ns, read_start
 from greenroof_ros.forecast.choice import INPUTS, MODELS, PERFECT, choose
 from greenroof_ros.forecast.steps import Outlook, make_forecast
-from greenroof_ros.ros.errors import LockstepError
-from greenroof_ros.ros.executable import node_command
 from greenroof_ros.ros.graph_node import GraphNode
 from greenroof_ros.ros.lockstep import CLOCK, LockstepNode
 from greenroof_ros.ros.messages import WithFront
 from greenroof_ros.ros.parameters import declare, look_ahead_parameters, site_file
+from greenroof_ros.ros.spin import node_command
 from greenroof_ros.site.horizon import look_ahead_ends
 from greenroof_ros.site.site import Site
 from greenroof_ros.weather.climate import CLIMATE, Climate

@@ -1,4 +1,4 @@
-"""Access to the ROS domain: joining it, and excluding a second graph of the same user.
+"""Access to the ROS domain: options, joining it, and excluding a second graph of the same user.
 
 ROS is imported only when a function needs it.
 
@@ -19,6 +19,7 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
+from greenroof_ros.base.command_line import make_number_type
 from greenroof_ros.base.errors import (
     ConfigurationError,
     OccupiedError,
@@ -28,6 +29,7 @@ from greenroof_ros.base.errors import (
 from greenroof_ros.base.files import shared_directory
 from greenroof_ros.base.processes import LockedError, acquire_name_lock
 from greenroof_ros.base.ranges import Range
+from greenroof_ros.controllers.registry import EXTERNAL
 
 _DOMAIN, _DISCOVERY = "ROS_DOMAIN_ID", "ROS_AUTOMATIC_DISCOVERY_RANGE"
 _RANGES = ("LOCALHOST", "SUBNET", "SYSTEM_DEFAULT", "OFF")
@@ -187,3 +189,39 @@ def lock_bringup(namespace: str, directory: Path | None = None) -> Iterator[None
                     "--namespace, ROS_DOMAIN_ID or --state"
                 ) from None
         yield
+
+
+def add_graph_arguments(parser: argparse.ArgumentParser, pump: str = "") -> None:
+    """Add the options of the graph, which ``run`` and ``live`` share.
+
+    Args:
+        parser: argument parser of the command.
+        pump: default value of ``--pump``; if it is empty, ``external`` is the only choice.
+    """
+    group = parser.add_argument_group("the graph")
+    group.add_argument(
+        "--pump", choices=[*filter(None, [pump]), EXTERNAL], default=pump,
+        help="source of /pump/flow; external selects a pump driver that you start yourself"
+        + (f" (default: {pump})" if pump else ""),
+    )
+    add_namespace(
+        group, "put the whole graph, including its clock, in the namespace /NAME, so that several "
+        "graphs can run side by side in one ROS domain",
+    )
+    if pump:
+        group.add_argument(
+            "--peer-limit", type=make_number_type(2, 1e6), default=5.0, metavar="S",
+            help="longest time to wait for a node (s of wall time; default: %(default)s s)",
+        )
+    group.add_argument(
+        "--watch", action="store_true",
+        help="show the graph on a page in a web browser, and print the address of the page; for a "
+        "run, only at a --speed of 60 or less. The page closes when the graph stops, whereas the "
+        "page of greenroof watch stays open. Requires the extra [watch]",
+    )
+    if not pump:
+        group.add_argument(
+            "--node-parameters", type=Path, metavar="FILE",
+            help="ROS 2 parameter file for the parameters that bringup does not set, such as the "
+            "limits of the pump node (doc/reference/nodes.md); unknown parameters are rejected",
+        )

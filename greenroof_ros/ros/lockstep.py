@@ -37,14 +37,11 @@ from typing import Any
 
 from rclpy.duration import Duration
 
-from greenroof_ros.base.errors import OccupiedError
+from greenroof_ros.base.errors import LockstepError, OccupiedError
 from greenroof_ros.interface.states import FINISHED, PLANT
 from greenroof_ros.interface.topics import read_topics
-from greenroof_ros.ros.errors import LockstepError
-from greenroof_ros.ros.graph_node import GraphNode
-from greenroof_ros.ros.inputs import Input
-from greenroof_ros.ros.messages import decoder, qos_profile
-from greenroof_ros.ros.publishers import Publishers
+from greenroof_ros.ros.graph_node import GraphNode, Publishers
+from greenroof_ros.ros.messages import Input, decoder, qos_profile
 
 CLOCK, RUN = "/clock", "/run"
 # A topic is discovered at most this long (s) before the name of its node.

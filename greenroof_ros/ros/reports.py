@@ -16,12 +16,12 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, NamedTuple
 
+from greenroof_ros.base.errors import MalformedMessageError
 from greenroof_ros.base.text import clean_text
 from greenroof_ros.interface.alarm import ERROR, LEVELS, OK, STALE, WARN, Alarm
 from greenroof_ros.interface.conditions import Condition, Diagnosis, identity_of, read_conditions
 from greenroof_ros.interface.states import ENDED, FINISHED, PLANT, STARTING, STATES
 from greenroof_ros.interface.topics import node_names
-from greenroof_ros.ros.errors import MalformedMessageError
 
 SILENT_S = 3.5
 """silence after which a node counts as not responding (s): it may miss two reports, one a second"""

@@ -17,7 +17,7 @@ from greenroof_ros.watch.document import make_document
 from greenroof_ros.watch.feed import Feed
 from greenroof_ros.watch.graph_client import RequestError
 from greenroof_ros.watch.store import GraphStore
-from greenroof_ros.watch.words import UNKNOWN, find_display
+from greenroof_ros.watch.tiles import UNKNOWN, find_display
 
 ONLINE, OFFLINE, ON, OFF = "online", "offline", "ON", "OFF"
 BUTTONS = {

@@ -10,8 +10,13 @@ A state has the entries ``heading``, ``mode``, ``namespace``, ``contact``, ``tim
 from __future__ import annotations
 
 import math
+import os
+import re
+import sys
 from collections.abc import Mapping
 from dataclasses import asdict
+from pathlib import Path
+from shutil import which
 from typing import Any
 
 from greenroof_ros.base.text import clean_text, number_of
@@ -19,10 +24,9 @@ from greenroof_ros.interface.alarm import advise
 from greenroof_ros.interface.conditions import command_for
 from greenroof_ros.interface.states import PUMP, VALVE
 from greenroof_ros.ros.alarms import describe_alarm
-from greenroof_ros.watch import words
 from greenroof_ros.watch.lines import AHEAD_S, END_S, STRETCH_NS
-from greenroof_ros.watch.store import FASTEST, GAP_S, LINES, TICKS, GraphStore
-from greenroof_ros.watch.tiles import Tile, make_tiles
+from greenroof_ros.watch.store import FASTEST, GAP_S, LINES, TICKS, GraphStore, number_in, text_of
+from greenroof_ros.watch.tiles import UNKNOWN, Tile, find_display, make_tiles, write_litres
 
 # How much of the past the charts can show (h), and the approximate number of stretches in a line.
 HOURS, _POINTS = (3, 12, 48, 168), 300
@@ -63,6 +67,8 @@ _DOSE = (
 _CLOSE = "The valve closes, and is kept closed until someone releases it."
 _RELEASE_VALVE = "The valve then opens when the controller requires it and nothing keeps it closed."
 _OPEN = "The valve opens for 30 minutes, unless an interlock keeps it closed or closes it earlier."
+# A command in an advice, rather than the service of that name.
+_COMMAND = re.compile(r"\bgreenroof(?= (?:live|outlet|release|reset|watch)\b)")
 
 
 def make_document(store: GraphStore, steady: float) -> dict[str, Any]:
@@ -83,7 +89,7 @@ def make_document(store: GraphStore, steady: float) -> dict[str, Any]:
             "time": {
                 "now": int(store.now) or None,
                 "zone": store.site.time_zone or local.isoformat()[-6:],
-                "text": f"{local:%Y-%m-%d %H:%M:%S %Z}" if store.now else words.UNKNOWN,
+                "text": f"{local:%Y-%m-%d %H:%M:%S %Z}" if store.now else UNKNOWN,
             },
             "frost": store.present_value("/weather/frost"),
             "tiles": {**tiles, "summary": summary},
@@ -117,7 +123,7 @@ def describe_stop(store: GraphStore) -> dict[str, Any]:
     hold = _describe_hold(store, values)
     at_rest = values.get("at_rest") is True and not store.runs_on
     dose = _describe_dose(store, values)
-    fault = words.text_of(values, "fault")
+    fault = text_of(values, "fault")
     actions = {"stop": _STOP}
     if store.allow_release:
         if hold and at_rest:
@@ -141,12 +147,12 @@ def describe_stop(store: GraphStore) -> dict[str, Any]:
 def _describe_hold(store: GraphStore, values: Mapping[str, Any]) -> str:
     """Describe who holds the pump, since when, until when and why; empty if no one does."""
     hold = values.get("hold")
-    if not isinstance(hold, dict) or not (owner := words.text_of(hold, "owner")):
+    if not isinstance(hold, dict) or not (owner := text_of(hold, "owner")):
         return ""
-    since, until = words.number_in(hold, "since"), words.number_in(hold, "until")
+    since, until = number_in(hold, "since"), number_in(hold, "until")
     begin = "" if since is None else f" since {store.time_text(since)}"
     end = "someone releases it" if until is None else store.time_text(until)
-    reason = words.text_of(hold, "reason")
+    reason = text_of(hold, "reason")
     why = f" ({reason})" if reason else ""
     return f"The pump is held off by {owner}{begin}, until {end}{why}."
 
@@ -155,23 +161,23 @@ def _describe_dose(store: GraphStore, values: Mapping[str, Any]) -> dict[str, An
     """Return the latest dose in words, the limits of a dose, and why none is possible now."""
     last = values.get("dose")
     dose = last if isinstance(last, dict) else {}
-    runs, largest = bool(dose) and not dose.get("over"), words.number_in(values, "max_dose")
+    runs, largest = bool(dose) and not dose.get("over"), number_in(values, "max_dose")
     told = store.allow_release and largest is not None and not runs
     return {
-        "text": _write_dose(dose, words.number_in(values, "flow")),
-        "min": words.number_in(values, "min_dose") or 0.0, "max": largest,
-        "refusal": words.text_of(values, "no_dose") if told else "",
+        "text": _write_dose(dose, number_in(values, "flow")),
+        "min": number_in(values, "min_dose") or 0.0, "max": largest,
+        "refusal": text_of(values, "no_dose") if told else "",
     }
 
 
 def _write_dose(dose: Mapping[str, Any], flow: float | None) -> str:
     """Write the progress or the outcome of a dose: ``A dose: 12 L of 20 L, 4 min left.``."""
     if dose.get("over"):
-        return f"The latest dose: {words.text_of(dose, 'sentence')}."
-    volume, delivered = words.number_in(dose, "volume"), words.number_in(dose, "delivered")
+        return f"The latest dose: {text_of(dose, 'sentence')}."
+    volume, delivered = number_in(dose, "volume"), number_in(dose, "delivered")
     if volume is None or delivered is None:
         return ""
-    progress = f"A dose: {words.write_litres(delivered)} of {words.write_litres(volume)}"
+    progress = f"A dose: {write_litres(delivered)} of {write_litres(volume)}"
     if not flow or flow < 0:
         return f"{progress}; it is waiting."
     return f"{progress}, {max(1, math.ceil(min((volume - delivered) / flow / 60, 1e6)))} min left."
@@ -194,7 +200,7 @@ def _list_alarms(store: GraphStore) -> list[dict[str, Any]]:
     return [{
         "id": alarm.name, "role": alarm.role, "code": alarm.code,
         "level": "error" if alarm.is_serious else "warn", "what": describe_alarm(alarm),
-        "do": words.complete_commands(advise(alarm.code, alarm.role, alarm.node)),
+        "do": complete_commands(advise(alarm.code, alarm.role, alarm.node)),
         "since": alarm.since, "since_text": store.time_text(alarm.since),
     } for alarm in present]
 
@@ -247,7 +253,7 @@ def _summarize(
     now = f"Roof: {roof['sentence'] or roof['value']}; pump: {pump['value']}."
     cases: tuple[tuple[object, str, str], ...] = (
         (gone is not None, "The site's program has not run since "
-         f"{store.time_text(gone or 0.0)}{seen}; nobody waters the roof.", words.complete_commands(
+         f"{store.time_text(gone or 0.0)}{seen}; nobody waters the roof.", complete_commands(
              _START.format(live=command_for(f"{store.namespace}/site", "live")))),
         (store.mode == "none", "No run or site has been found.", _NOTHING),
         (store.mode == "ended", "The run has ended, and its last state is shown.", step),
@@ -272,7 +278,7 @@ def _advise(store: GraphStore, pump: Tile, step: str, stop: dict[str, Any]) -> s
     if "release" in stop["actions"]:
         release = "If it may run again, release it with the button below."
     elif stop["stopped"] and (node := store.pump) is not None:
-        command = words.complete_commands(command_for(node.name, "release"))
+        command = complete_commands(command_for(node.name, "release"))
         release = f"If it may run again, release it with: {command}"
     said = [stop["hold"] or stop["dose"]["text"], step]
     said = said[::-1] if pump["state"] == "alarm" else said
@@ -319,15 +325,25 @@ def make_series(store: GraphStore, hours: float) -> dict[str, Any]:
         return {
             "now": now, "from": begin, "to": end,
             "lines": {name: _convert(name, line) for name, line in lines.items()},
-            "display": {name: asdict(words.find_display(topic)) for name, topic in LINES.items()},
+            "display": {name: asdict(find_display(topic)) for name, topic in LINES.items()},
         }
 
 
 def _convert(name: str, line: list[list[Any]]) -> list[list[Any]]:
     """Return a line in the unit in which the interface shows its quantity, with an end."""
     quantity = "roof" if name == "target" else name.partition("_")[0]
-    display = words.find_display(LINES[quantity])
+    display = find_display(LINES[quantity])
     return [
         [at, None if value is None else round(value * display.factor, display.decimals + 1)]
         for at, value in line
     ] + [[line[-1][0] + END_S, None] for _ in line[:1]]
+
+
+def complete_commands(text: str) -> str:
+    """Return an advice with its commands as they work in a terminal of this machine.
+
+    They have the path of the program, if the shell does not find it, and the ROS domain.
+    """
+    domain, path = os.environ.get("ROS_DOMAIN_ID", "0"), Path(sys.executable).with_name("greenroof")
+    before = "" if domain in ("", "0") else f"ROS_DOMAIN_ID={domain} "
+    return _COMMAND.sub(before + ("greenroof" if which("greenroof") else str(path)), text)

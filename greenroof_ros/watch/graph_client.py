@@ -24,7 +24,6 @@ from greenroof_ros.base.errors import FailedError
 from greenroof_ros.interface.states import PUMP, VALVE
 from greenroof_ros.interface.topics import Qos, read_topics
 from greenroof_ros.ros.domain import SHUTDOWN_S, join
-from greenroof_ros.ros.rclpy_internals import take_messages
 from greenroof_ros.ros.reports import read_statuses
 
 # How many messages on a topic can wait for the next poll: 1 s at 60 times real time.
@@ -132,6 +131,8 @@ class GraphClient:
 
     def receive(self) -> None:
         """Pass on the messages that have arrived, in the order of their arrival."""
+        from greenroof_ros.ros.messages import take_messages
+
         now = time.monotonic()
         self._clock_ns = self._clock_ns if now - self._clock_at < _NO_CLOCK_S else 0
         is_clocked = self._clock_ns or self._node.count_publishers(CLOCK[1:])

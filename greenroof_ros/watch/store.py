@@ -20,14 +20,12 @@ from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.files import default_site_file
 from greenroof_ros.base.text import clean_text
 from greenroof_ros.base.times import clock_time
-from greenroof_ros.interface.alarm import Alarm
+from greenroof_ros.interface.alarm import Alarm, read_status
 from greenroof_ros.interface.states import PLANT, PUMP
 from greenroof_ros.interface.topics import read_topics
-from greenroof_ros.ros.alarm_status import read_status
 from greenroof_ros.ros.reports import NodeReport, Reports, Status
 from greenroof_ros.site.file import read_site
 from greenroof_ros.watch.lines import History, Steps, read_steps
-from greenroof_ros.watch.words import number_in
 
 FLOW, RAIN_FORECAST, PLAN = "/pump/flow", "/forecast/precipitation", "/controller/plan"
 LINES = {
@@ -349,3 +347,15 @@ class GraphStore(Reports):
     def time_text(self, at: float) -> str:
         """Write a time (s since 1970) on the site's clock, with the date unless it is today."""
         return clock_time(self.local(at), self.local(self.now or at))
+
+
+def text_of(values: Mapping[str, Any], key: str) -> str:
+    """Return a text among the values that a node reports; empty if it reports none."""
+    value = values.get(key)
+    return clean_text(value) if isinstance(value, str) else ""
+
+
+def number_in(values: Mapping[str, Any], key: str) -> float | None:
+    """Return a number among the values that a node reports; None if it reports none."""
+    value = values.get(key)
+    return value if isinstance(value, (int, float)) else None

@@ -14,12 +14,11 @@ from greenroof_ros.base.text import number_of
 from greenroof_ros.base.times import duration
 from greenroof_ros.interface.conditions import read_conditions
 from greenroof_ros.interface.states import PUMP, PUMP_STATES, VALVE, VALVE_STATES
-from greenroof_ros.interface.topics import read_topics
+from greenroof_ros.interface.topics import Display, read_topics
 from greenroof_ros.results.sums import NEAR_TARGET
 from greenroof_ros.ros.alarms import describe_alarm
 from greenroof_ros.ros.reports import NodeReport
-from greenroof_ros.watch import words
-from greenroof_ros.watch.store import FLOW, GraphStore
+from greenroof_ros.watch.store import FLOW, GraphStore, number_in, text_of
 
 _DAY_S, _DAYS = 86_400.0, 7
 # What was given is stated after this time (s), when it is not only of the last minutes.
@@ -29,8 +28,43 @@ _COMMAND, _RAIN = "/pump/command", "/weather/precipitation"
 _ROOF, _CISTERN, _FROST = "/roof/level", "/cistern/level", "/weather/frost"
 _THERMOMETER, _VALVE = "/gauge/temperature", "/outlet/command"
 _POSITION, _OUTLET_FLOW = "/outlet/position", "/outlet/flow"
-write_level = partial(words.write_value, _ROOF)
-write_flow = partial(words.write_value, FLOW)
+UNKNOWN = "unknown"
+
+
+def write_number(value: float, unit: str, decimals: int, factor: float = 1.0) -> str:
+    """Write a number with its unit, such as ``45.3 mm``.
+
+    Args:
+        value: value in its SI unit.
+        unit: unit to show; empty for none.
+        decimals: number of decimals to show.
+        factor: factor that converts the SI unit to the unit to show.
+    """
+    text = f"{value * factor:.{decimals}f}"
+    text = text.removeprefix("-") if float(text) == 0 else text
+    return f"{text} {unit}" if unit else text
+
+
+def find_display(topic: str) -> Display:
+    """Return the format in which the interface shows the values of a topic."""
+    display = read_topics()[topic].display
+    assert display is not None, topic
+    return display
+
+
+def write_value(topic: str, value: float) -> str:
+    """Write a topic's value, or a difference of values, in the interface's format: ``45.3 mm``."""
+    display = find_display(topic)
+    return write_number(value, display.unit, display.decimals, display.factor)
+
+
+def write_litres(volume: float) -> str:
+    """Write a volume (m3) in litres."""
+    return write_number(volume, "L", 0, 1e3)
+
+
+write_level = partial(write_value, _ROOF)
+write_flow = partial(write_value, FLOW)
 
 Tile = dict[str, Any]
 
@@ -67,9 +101,9 @@ def _make_tile(
     the last value and its time. A value that an alarm is about is shown as doubtful.
     """
     newest, number = store.newest.get(topic), store.present_value(topic)
-    write = write or partial(words.write_value, topic)
+    write = write or partial(write_value, topic)
     doubt = _find_doubt(store, topic)
-    text, state = words.UNKNOWN, "unknown"
+    text, state = UNKNOWN, "unknown"
     if newest is None:
         sentence = "no values arrive" if doubt else "no value received yet"
     elif number is not None:
@@ -123,15 +157,15 @@ def _judge_cistern(store: GraphStore, level: float) -> tuple[str, str]:
     if level > site.z_o:
         return "high", "above its overflow, so water is running to the sewer"
     if not site.irrigated:
-        return "good", f"{words.write_number(site.cistern_volume(level), 'm³', 1)} of water"
-    text = f"{words.write_number(usable, 'm³', 1)} above the suction level can be pumped"
+        return "good", f"{write_number(site.cistern_volume(level), 'm³', 1)} of water"
+    text = f"{write_number(usable, 'm³', 1)} above the suction level can be pumped"
     now, first = store.now, store.flow_since
     days = 0 if first is None else min(_DAYS, int((now - first) // _DAY_S))
     if days > 0 and (given := store.given_since(now - days * _DAY_S)):
         left = number_of(round(usable * days / given), "day")
         text += f", enough for {left} at the use of the past {number_of(days, 'day')}"
     if store.mode != "live" and (share := store.present_value(_VALVE)) is not None:
-        text += f"; the outlet valve is {words.write_value(_VALVE, share)} open"
+        text += f"; the outlet valve is {write_value(_VALVE, share)} open"
     return "good", text
 
 
@@ -157,7 +191,7 @@ def _write_coming_rain(store: GraphStore) -> str:
     if (reach := forecast.reach(now)) <= 0:
         return "the forecast has ended"
     rain = float((forecast.values @ forecast.lengths(now)).mean())
-    return f"{words.write_number(rain, 'mm', 1, 1e3)} expected in the next {duration(round(reach))}"
+    return f"{write_number(rain, 'mm', 1, 1e3)} expected in the next {duration(round(reach))}"
 
 
 # --- the pump -------------------------------------------------------------------------------------
@@ -184,7 +218,7 @@ def _make_pump_tile(store: GraphStore) -> Tile:
     if may_turn:
         value, state, why = "may be running", "alarm", "it is unknown whether the pump is stopped"
     elif lost:
-        value, state, why = words.UNKNOWN, words.UNKNOWN, _join(f"{state} at last contact", why)
+        value, state, why = UNKNOWN, UNKNOWN, _join(f"{state} at last contact", why)
     return {
         "label": "Pump", "value": value, "number": number, "state": state,
         "sentence": _join("" if number is None else write_flow(number), why),
@@ -196,17 +230,17 @@ def _read_pump_state(store: GraphStore) -> tuple[str, str]:
     values = store.pump_values
     if not store.site.irrigated:
         return "off", "the site has no pump"
-    if state := words.text_of(values, "pump_state"):
+    if state := text_of(values, "pump_state"):
         # Of a hold, the page states more, and in the site's time.
         hold = values.get("hold")
-        told = words.text_of(hold, "sentence") if isinstance(hold, dict) else ""
-        why = words.text_of(values, "pump_why").removeprefix(told).lstrip("; ")
-        return state if state in PUMP_STATES else words.UNKNOWN, why
+        told = text_of(hold, "sentence") if isinstance(hold, dict) else ""
+        why = text_of(values, "pump_why").removeprefix(told).lstrip("; ")
+        return state if state in PUMP_STATES else UNKNOWN, why
     if store.mode == "live":
-        return words.UNKNOWN, "no pump node, or more than one, is responding"
+        return UNKNOWN, "no pump node, or more than one, is responding"
     flow = store.newest.get(FLOW)
     if flow is None or flow.value is None:
-        return words.UNKNOWN, ""
+        return UNKNOWN, ""
     return "off" if write_flow(flow.value) == write_flow(0.0) else "running", ""
 
 
@@ -224,7 +258,7 @@ def _make_watering_tile(store: GraphStore, pump: Tile) -> Tile:
     pumped = None if plan is None else plan.pumped(now)
     value, state, sentence = "not now", "good", ""
     if share is None and store.site.irrigated:
-        value, state, sentence = words.UNKNOWN, "unknown", "the controller's command is unknown"
+        value, state, sentence = UNKNOWN, "unknown", "the controller's command is unknown"
     elif share:
         value = "now"
         if pump["state"] not in ("running", "starting"):
@@ -235,7 +269,7 @@ def _make_watering_tile(store: GraphStore, pump: Tile) -> Tile:
         value = f"not in the next {duration(round(plan.reach(now)))}"
         sentence = "no pumping is planned"
     planned = "" if pumped is None or share is None else (
-        f"{words.write_litres(pumped[0])} up to {write_level(pumped[2])} planned"
+        f"{write_litres(pumped[0])} up to {write_level(pumped[2])} planned"
     )
     return {
         "label": "Watering", "value": value, "number": share, "state": state,
@@ -250,7 +284,7 @@ def _write_given(store: GraphStore) -> str:
         return ""
     midnight = store.local(now).replace(hour=0, minute=0, second=0, microsecond=0).timestamp()
     today, week = (
-        words.write_litres(store.given_since(begin)) for begin in (midnight, now - _DAYS * _DAY_S)
+        write_litres(store.given_since(begin)) for begin in (midnight, now - _DAYS * _DAY_S)
     )
     since = f" (seen since {store.time_text(first)})" if first > now - _DAYS * _DAY_S else ""
     return f"given: {today} today, {week} in the past {_DAYS} days{since}"
@@ -265,23 +299,23 @@ def _make_valve_tile(store: GraphStore, node: NodeReport) -> Tile:
     The state is ``alarm`` if the valve might be open unnoticed.
     """
     values, lost = node.values, store.mode != "ended" and not node.is_online(store.steady)
-    reported, why = words.text_of(values, "valve_state"), words.text_of(values, "valve_why")
+    reported, why = text_of(values, "valve_state"), text_of(values, "valve_why")
     position, flow, until = (
-        words.number_in(values, key) for key in ("position", "flow", "open_until")
+        number_in(values, key) for key in ("position", "flow", "open_until")
     )
-    value = state = reported if reported in VALVE_STATES else words.UNKNOWN
+    value = state = reported if reported in VALVE_STATES else UNKNOWN
     where = "position unknown"
     if position is not None:
-        where = f"position {words.write_value(_POSITION, position)} by its end switches"
+        where = f"position {write_value(_POSITION, position)} by its end switches"
     elif store.node("open_switch") is None:
         where += ": no end switches"
     told = [
         f"commanded {'open' if values.get('commanded') else 'closed'}", where,
-        "" if flow is None else words.write_value(_OUTLET_FLOW, flow),
+        "" if flow is None else write_value(_OUTLET_FLOW, flow),
         "" if until is None else f"requested to be open until {store.time_text(until)}",
     ]
     if lost:
-        value = state = words.UNKNOWN
+        value = state = UNKNOWN
         position, told = None, [f"{reported} at last contact"]
     if values.get("at_rest") is False and (lost or values.get("speed", 0.0) is None):
         value, state = "may be open", "alarm"

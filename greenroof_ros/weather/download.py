@@ -29,9 +29,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from greenroof_ros.base.console import ProgressBar
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.http import ServiceError, check_url, name_url, request
-from greenroof_ros.base.progress import ProgressBar
 from greenroof_ros.base.times import FIRST_YEAR, duration, to_minutes
 from greenroof_ros.site.site import Place
 from greenroof_ros.weather.description import find_service

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from greenroof_ros.base.parameter_sections import read_sections
+from greenroof_ros.base.parameter import read_sections
 
 
 @contextmanager

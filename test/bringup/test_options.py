@@ -19,11 +19,10 @@ from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.controllers.registry import find_controller
 from greenroof_ros.live.devices.drive_file import find_drive_file
 from greenroof_ros.live.devices.exchange import read_endpoint
-from greenroof_ros.live.live_site import LiveSite
+from greenroof_ros.live.live_site import LiveSite, make_stopper
 from greenroof_ros.live.live_site import make_parser as live_site_parser
-from greenroof_ros.live.site_run import make_stopper
 from greenroof_ros.ros.domain import lock_bringup, prepare_ros
-from greenroof_ros.ros.parameter_file import node_parameter_files
+from greenroof_ros.ros.parameters import node_parameter_files
 
 EXTERNAL = ("--sensors", "external", "--pump", "external", "--weather", "external")
 # A live site with a weather node, and the rest external; and a drive.

@@ -15,7 +15,7 @@ from pathlib import Path
 from greenroof_ros.live import station, upkeep
 from greenroof_ros.live.node import LiveNode, spin
 from greenroof_ros.nodes.alarms import AlarmsNode
-from greenroof_ros.ros.executable import run_nodes
+from greenroof_ros.ros.spin import run_nodes
 
 kind = sys.argv[1]
 

@@ -32,7 +32,7 @@ from ros_rig import (
     write_forecast,
 )
 
-from greenroof_ros.live.number_file import NumberFile
+from greenroof_ros.live.controller import NumberFile
 from greenroof_ros.live.weather import _find_monthly_mean
 from greenroof_ros.site.horizon import growing_steps
 

@@ -20,7 +20,7 @@ from graphs import alive, files_of, wait_for
 from places import CHECKOUT
 
 from greenroof_ros.live import upkeep
-from greenroof_ros.live.site_run import notify
+from greenroof_ros.live.live_site import notify
 from greenroof_ros.live.supervisor import LiveSupervisor, NodeFailed, SiteProcess
 
 NAMES = ("pump", "controller", "station")

@@ -11,8 +11,8 @@ from typing import Any
 import pytest
 
 from greenroof_ros.interface.alarm import ALARMS, Alarm, to_record
-from greenroof_ros.nodes import alarm_log
-from greenroof_ros.nodes.alarm_log import AlarmLog
+from greenroof_ros.nodes import alarms
+from greenroof_ros.nodes.alarms import AlarmLog
 from greenroof_ros.results.alarm_file import read_alarms
 
 LOST = Alarm(
@@ -60,8 +60,8 @@ def test_each_change_is_printed_and_stored_at_once(tmp_path: Path) -> None:
 
 def test_a_flapping_sensor_fills_no_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The file keeps the newest; what lasts is kept whenever it began."""
-    monkeypatch.setattr(alarm_log, "_FULL", 20_000)
-    monkeypatch.setattr(alarm_log, "_KEPT", 50)
+    monkeypatch.setattr(alarms, "_FULL", 20_000)
+    monkeypatch.setattr(alarms, "_KEPT", 50)
     log = written(tmp_path, begins(part="state file"))
     for number in range(2, 252):
         log.add([begins(number), ends(number)])

@@ -29,7 +29,7 @@ from rosbags.typesys import Stores, get_typestore
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.commands.recover import recover
 from greenroof_ros.interface.topics import read_topics
-from greenroof_ros.live.live_bag import LiveBag
+from greenroof_ros.live.recorder import LiveBag
 from greenroof_ros.results.bag_read import count_ticks, find_namespace
 from greenroof_ros.results.bag_write import BagWriter
 

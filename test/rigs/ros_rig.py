@@ -23,11 +23,10 @@ from places import CONFIG
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
+from greenroof_ros.base.errors import MalformedMessageError
 from greenroof_ros.base.files import read_yaml
 from greenroof_ros.interface.conditions import read_conditions
-from greenroof_ros.interface.topics import read_topics
-from greenroof_ros.live.live_topics import read_live_topics
-from greenroof_ros.ros.errors import MalformedMessageError
+from greenroof_ros.interface.topics import read_live_topics, read_topics
 from greenroof_ros.ros.messages import deserialize, message_class, qos_profile
 
 OK, WARN, ERROR, STALE = b"\x00", b"\x01", b"\x02", b"\x03"

@@ -7,9 +7,17 @@ from typing import Any
 
 import pytest
 
-from greenroof_ros.interface.alarm import ERROR, LEVELS, OTHER, STALE, WARN, Alarm, advise
+from greenroof_ros.interface.alarm import (
+    ERROR,
+    LEVELS,
+    OTHER,
+    STALE,
+    WARN,
+    Alarm,
+    advise,
+    read_status,
+)
 from greenroof_ros.interface.conditions import read_conditions
-from greenroof_ros.ros.alarm_status import read_status
 from greenroof_ros.ros.alarms import Judge, find_causes
 from greenroof_ros.ros.reports import StatusDiagnosis
 

@@ -29,16 +29,17 @@ from std_msgs.msg import (  # noqa: E402
     MultiArrayLayout,
 )
 
+from greenroof_ros.base.errors import MalformedMessageError  # noqa: E402
 from greenroof_ros.interface.topics import read_topics  # noqa: E402
-from greenroof_ros.ros.errors import MalformedMessageError  # noqa: E402
-from greenroof_ros.ros.inputs import Input  # noqa: E402
-from greenroof_ros.ros.messages import (  # noqa: E402
+from greenroof_ros.ros.messages import (  # noqa: E402  # noqa: E402
+    Input,
     WithFront,
     decoder,
     encoder,
     qos_profile,
+    raw_publish,
+    take_messages,
 )
-from greenroof_ros.ros.rclpy_internals import raw_publish, take_messages  # noqa: E402
 from greenroof_ros.ros.spin import start_receiving  # noqa: E402
 
 NUMBER, NUMBERS, CLOCK = KINDS = (

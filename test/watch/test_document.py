@@ -28,7 +28,7 @@ from paper import PAPER_SITE
 from greenroof_ros.interface.alarm import OK, WARN
 from greenroof_ros.interface.conditions import read_conditions
 from greenroof_ros.ros.reports import Status
-from greenroof_ros.watch import words
+from greenroof_ros.watch import document
 from greenroof_ros.watch.document import make_document, make_series
 from greenroof_ros.watch.store import GraphStore
 
@@ -42,7 +42,7 @@ QUIET = {
 @pytest.fixture(autouse=True)
 def short_commands(monkeypatch: pytest.MonkeyPatch) -> None:
     """The shell finds the program, and the domain is 0."""
-    monkeypatch.setattr(words, "which", lambda _: "/bin/greenroof")
+    monkeypatch.setattr(document, "which", lambda _: "/bin/greenroof")
     monkeypatch.setenv("ROS_DOMAIN_ID", "0")
 
 

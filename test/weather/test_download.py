@@ -27,8 +27,8 @@ from refusals import refusal
 from weather_service import WeatherService, open_meteo_values
 
 from greenroof_ros.base import http
+from greenroof_ros.base.console import ProgressBar
 from greenroof_ros.base.http import ServiceError
-from greenroof_ros.base.progress import ProgressBar
 from greenroof_ros.commands import fetch_weather
 from greenroof_ros.site.file import read_site
 from greenroof_ros.site.site import Site

@@ -11,11 +11,11 @@ from greenroof_ros.live.devices.drive import DriveEndpoint
 from greenroof_ros.live.devices.drive_file import LIMIT_S as OBEYS_S
 from greenroof_ros.live.devices.exchange import FIRST_WAIT_S
 from greenroof_ros.live.devices.relay import RelayEndpoint
-from greenroof_ros.live.levels import LIMITS
-from greenroof_ros.live.live_bag import FLUSH_S
+from greenroof_ros.live.live_input import LIMITS
 from greenroof_ros.live.pump import parameters as parameters_of_pump
 from greenroof_ros.live.pumping.delivery import AVERAGING_S, MIN_DELIVERY
 from greenroof_ros.live.pumping.pump_control import AFTERFLOW_S
+from greenroof_ros.live.recorder import FLUSH_S
 from greenroof_ros.physics.cistern import low_outlet_flow
 from greenroof_ros.physics.parameters import plant_parameters
 from greenroof_ros.physics.pump import flow_at

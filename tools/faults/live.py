@@ -17,7 +17,7 @@ from mcap.exceptions import McapError
 from mcap.records import Chunk, Message
 from mcap.stream_reader import StreamReader, breakup_chunk
 
-from greenroof_ros.live.live_bag import FLUSH_S, RETRY_S
+from greenroof_ros.live.recorder import FLUSH_S, RETRY_S
 from greenroof_ros.results.bag_write import find_files
 
 # How long to wait beyond the bound, to see how much it is exceeded (s).

@@ -43,9 +43,8 @@ from greenroof_ros.base.mqtt import parse_topic
 from greenroof_ros.live.devices.drive_file import find_drive_file, read_relay_file
 from greenroof_ros.live.devices.sensor_file import read_sensors
 from greenroof_ros.live.simulators import site as simulated_site
-from greenroof_ros.live.simulators.relay import SimulatedRelay
+from greenroof_ros.live.simulators.relay import SimulatedRelay, SimulatedValve
 from greenroof_ros.live.simulators.site import SimulatedSite
-from greenroof_ros.live.simulators.valve import SimulatedValve
 from greenroof_ros.site.file import read_site
 
 # Areas of the cistern (m2), so that its level hardly falls, and its level (m).

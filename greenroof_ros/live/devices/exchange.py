@@ -16,8 +16,8 @@ from greenroof_ros.base.files import read_yaml
 from greenroof_ros.base.mqtt import parse_topic
 from greenroof_ros.base.parameter import Parameter
 from greenroof_ros.base.processes import LockedError, acquire_name_lock
+from greenroof_ros.base.times import boot_time
 from greenroof_ros.interface.conditions import Diagnosis
-from greenroof_ros.live.boot_clock import boot_time
 from greenroof_ros.live.devices.drive import TIMEOUT_S, Drive, DriveEndpoint, DriveStatus
 from greenroof_ros.live.devices.drive_file import (
     LIMIT_S,

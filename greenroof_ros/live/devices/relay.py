@@ -19,11 +19,10 @@ from dataclasses import dataclass
 from string import Template
 from typing import Any
 
-from greenroof_ros.base.mqtt import Broker, make_client
+from greenroof_ros.base.mqtt import Broker, make_client, value_at
 from greenroof_ros.interface.conditions import Diagnosis
 from greenroof_ros.live.devices.drive import DriveStatus
 from greenroof_ros.live.devices.drive_file import Question, RelayFile, RelayMessage, Timer
-from greenroof_ros.live.devices.json_path import value_at
 from greenroof_ros.live.devices.modbus_line import Address, DriveError
 
 # Time between two questions (s), also while it is expected to switch on; and time after which an

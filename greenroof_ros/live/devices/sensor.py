@@ -18,9 +18,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
-from greenroof_ros.base.mqtt import make_client
-from greenroof_ros.live.boot_clock import boot_time
-from greenroof_ros.live.devices.json_path import value_at
+from greenroof_ros.base.mqtt import make_client, value_at
+from greenroof_ros.base.times import boot_time
 from greenroof_ros.live.devices.modbus_line import (
     WIDTHS,
     DriveError,

@@ -48,9 +48,8 @@ from greenroof_ros.base.disk import DISK, PATIENCE_S
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.files import replace_file, replace_text
 from greenroof_ros.base.processes import LockedError, acquire_name_lock
-from greenroof_ros.base.times import clock_time
+from greenroof_ros.base.times import boot_id, boot_time, clock_time
 from greenroof_ros.interface.conditions import Diagnosis
-from greenroof_ros.live.boot_clock import boot_id, boot_time
 
 DAY_S = 86_400.0
 GUARD = "pump_guard"

@@ -11,12 +11,11 @@ from dataclasses import replace
 from functools import partial
 from typing import Any
 
-from greenroof_ros.base.mqtt import make_client
-from greenroof_ros.live.devices.json_path import parse_path
+from greenroof_ros.base.mqtt import make_client, parse_path
 from greenroof_ros.live.devices.modbus_line import encode, parse_address
 from greenroof_ros.live.devices.sensor_file import ModbusSensor, MqttSensor, Sensors
+from greenroof_ros.live.simulators.relay import LEAK, SimulatedValve
 from greenroof_ros.live.simulators.server import Server, make_device
-from greenroof_ros.live.simulators.valve import LEAK, SimulatedValve
 from greenroof_ros.physics.parameters import State
 from greenroof_ros.physics.pump import flow_at
 from greenroof_ros.physics.sensor_and_pump import SensorAndPump

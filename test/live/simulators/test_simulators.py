@@ -20,7 +20,7 @@ from greenroof_ros.live.devices.drive import Drive, DriveEndpoint
 from greenroof_ros.live.devices.drive_file import read_drive_file
 from greenroof_ros.live.devices.exchange import DriveExchange, read_endpoint
 from greenroof_ros.live.devices.modbus_line import parse_address
-from greenroof_ros.live.simulators.valve import SimulatedValve
+from greenroof_ros.live.simulators.relay import SimulatedValve
 
 
 @pytest.mark.parametrize(
