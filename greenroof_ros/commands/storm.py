@@ -74,8 +74,9 @@ def main() -> None:
         from greenroof_ros.analysis.storms import design_storm, storms
 
         if not run:
-            print(f"# Design storm of {periods[0]:g} years:", *map(str, given.values()))
-            print(design_storm(**given, return_period=periods[0]).write_csv(), end="")
+            storm = design_storm(**given, return_period=periods[0]).write_csv()
+            stated = ", ".join(f"{name} {each}" for name, each in given.items() if each is not None)
+            print(f"# Design storm of {periods[0]:g} years: {stated}\n{storm}", end="")
             return
         result = storms(**given, **of_run, return_periods=periods)
         page = result.save(run)

@@ -60,7 +60,7 @@ Values = NDArray[np.float64]
 # A line that begins with a duration, in minutes unless it has another unit.
 _ROW = re.compile(r'[\s"]*(\d+(?:\.\d+)?)[ -]*(min|h|d|)[a-z]*\b(.*)', re.IGNORECASE)
 _MINUTES = {"h": 60.0, "d": 1440.0}
-_NUMBER = re.compile(r"\d+(?:\.\d+)?")
+_NUMBER = re.compile(r"-?\d+(?:\.\d+)?")
 # Durations for which a formula is evaluated (min).
 _EVERY_MINUTE = np.arange(1.0, 1441.0)
 
@@ -193,17 +193,22 @@ def _find_mistakes(stated: DepthFile, _: YamlMapping) -> Iterator[tuple[str, str
 
 
 def _read_table(file: Path, stated: DepthFile) -> Depths:
-    """Read the lines that begin with a duration, for as long as it increases."""
+    """Read the lines that begin with a duration, up to the first other line after them."""
     lines, count = enumerate(read_lines(file), start=1), len(stated.return_periods)
     if stated.after and not any(stated.after in text for _, text in lines):
         raise ConfigurationError("must occur in a line", file=file, key="after", value=stated.after)
     rows = [[1e-9] * (count + 1)]
     for number, text in lines:
         if not (match := _ROW.match(text.replace(stated.decimal, "."))):
+            if len(rows) > 1:
+                break
             continue
         minutes = float(match[1]) * _MINUTES.get(match[2].lower(), 1.0)
         if minutes <= rows[-1][0]:
-            break
+            raise ConfigurationError(
+                "durations must increase from line to line", file=file, line=number,
+                value=text.strip(),
+            )
         per_ours = find_unit(PRECIPITATION, stated.unit, minutes / 60, 1.0).per_ours
         cells = _NUMBER.findall(match[3])[:count]
         row = [minutes, *(minutes / 60 * float(cell) / per_ours for cell in cells)]
