@@ -193,14 +193,14 @@ def _find_mistakes(stated: DepthFile, _: YamlMapping) -> Iterator[tuple[str, str
 
 
 def _read_table(file: Path, stated: DepthFile) -> Depths:
-    """Read the lines that begin with a duration, up to the first other line after them."""
+    """Read the lines that begin with a duration, up to the first empty line after them."""
     lines, count = enumerate(read_lines(file), start=1), len(stated.return_periods)
     if stated.after and not any(stated.after in text for _, text in lines):
         raise ConfigurationError("must occur in a line", file=file, key="after", value=stated.after)
     rows = [[1e-9] * (count + 1)]
     for number, text in lines:
         if not (match := _ROW.match(text.replace(stated.decimal, "."))):
-            if len(rows) > 1:
+            if len(rows) > 1 and not text.strip():
                 break
             continue
         minutes = float(match[1]) * _MINUTES.get(match[2].lower(), 1.0)
