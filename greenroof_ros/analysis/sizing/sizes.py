@@ -72,8 +72,10 @@ class Sizes:
         text = {
             name: write_range(row, name, column) for name, column in SHOWN.items() if name in row
         }
+        other = self.site.monthly_other_demand is not None
+        uses = "the irrigation and other uses" if other else "the irrigation"
         watered = "" if row["demand_met_share"] is None else (
-            f"{text['demand_met_share']} % of the irrigation is rain, {text['mains_m3']} m³ is "
+            f"{text['demand_met_share']} % of {uses} is rain, {text['mains_m3']} m³ is "
             "mains water, and "
         )
         kept = "" if row[KEPT] is None else (
