@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from greenroof_ros.controllers.registry import find_controller
 from greenroof_ros.physics.storm_water import connected_area
-from greenroof_ros.results.forked_polars import make_frame
 from greenroof_ros.results.metrics import METRICS
 from greenroof_ros.results.sums import PEAKS_MIN
+from greenroof_ros.results.table import make_frame
 from greenroof_ros.simulation.run import Run
 from greenroof_ros.simulation.season import Case, simulate_season
 from greenroof_ros.site.file import check_site

@@ -1,10 +1,15 @@
-"""An alarm, and its record in ``alarms.jsonl`` and in a summary."""
+"""An alarm, and its record in ``alarms.jsonl`` and in a summary.
+
+A live site records them in ``alarms.jsonl``, next to the bag.
+"""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from datetime import datetime
+from pathlib import Path
 from typing import Any
 
 from greenroof_ros.base.times import iso
@@ -99,3 +104,27 @@ def read_record(record: Mapping[str, Any]) -> Alarm:
         for key in _TIMES
     }
     return Alarm(**{**record, **times, "about": tuple(record.get("about", ()))})
+
+
+def read_alarms(directory: Path) -> list[Alarm]:
+    """Return the latest recorded alarms of a live site, ordered by number.
+
+    Each line of the file contains the state of an alarm at the time of writing; the last line with
+    a given number is the valid one.
+
+    Args:
+        directory: the site's directory.
+
+    Raises:
+        OSError: if the file cannot be read.
+        ValueError: if a line is not an alarm. An incomplete last line after a crash is ignored.
+    """
+    path, alarms = directory / ALARMS, dict[int, Alarm]()
+    *lines, _cut = path.read_bytes().split(b"\n") if path.is_file() else [b""]
+    for index, line in enumerate(lines, start=1):
+        try:
+            alarm = read_record(json.loads(line))
+        except (ValueError, TypeError, AttributeError, RecursionError) as error:
+            raise ValueError(f"{path}, line {index}: is not an alarm ({error})") from error
+        alarms[alarm.number] = alarm
+    return sorted(alarms.values(), key=lambda alarm: alarm.number)

@@ -19,12 +19,11 @@ from greenroof_ros.base.parameter import replace_infinity
 from greenroof_ros.base.processes import IN_MEMORY, InterruptedRun, Signals, scratch_directory
 from greenroof_ros.base.standard_error import print_line
 from greenroof_ros.base.times import iso
-from greenroof_ros.interface.alarm import Alarm, to_record
+from greenroof_ros.interface.alarm import Alarm, read_alarms, to_record
 from greenroof_ros.live.devices.exchange import DriveInUseError, Endpoint, stop_drive
 from greenroof_ros.live.live_site import LiveSite
 from greenroof_ros.live.pumping.limits import check_command_limit
 from greenroof_ros.live.supervisor import LiveSupervisor, NodeFailed, StopDrive
-from greenroof_ros.results.alarm_file import read_alarms
 from greenroof_ros.results.versions import versions
 from greenroof_ros.ros.domain import lock_bringup, prepare_ros, ros_arguments
 from greenroof_ros.ros.errors import describe

@@ -11,8 +11,7 @@ from pathlib import Path
 
 from greenroof_ros.base.disk import DiskThread
 from greenroof_ros.base.files import replace_text
-from greenroof_ros.interface.alarm import Alarm, to_record
-from greenroof_ros.results.alarm_file import read_alarms
+from greenroof_ros.interface.alarm import Alarm, read_alarms, to_record
 from greenroof_ros.ros.alarms import describe_alarm
 
 # Size beyond which the file is written anew, with this many of the newest alarms (bytes).

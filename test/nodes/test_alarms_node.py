@@ -14,9 +14,8 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.executors import SingleThreadedExecutor
 from ros_rig import ERROR, LATE, OK, Observer
 
-from greenroof_ros.interface.alarm import Alarm
+from greenroof_ros.interface.alarm import Alarm, read_alarms
 from greenroof_ros.nodes.alarms import AlarmsNode
-from greenroof_ros.results.alarm_file import read_alarms
 from greenroof_ros.ros.alarm_status import read_status
 
 FAULT = KeyValue(key="fault", value="F 7")

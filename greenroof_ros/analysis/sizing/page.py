@@ -13,12 +13,12 @@ from greenroof_ros.analysis.figures import Figure, Panel, distinguish_series
 from greenroof_ros.analysis.page import Section, make_page, write_output
 from greenroof_ros.analysis.references import PEAKS, return_periods
 from greenroof_ros.analysis.seasons import find_ranges
-from greenroof_ros.analysis.sizing.choice import MAX_LOST
-from greenroof_ros.analysis.sizing.results import (
+from greenroof_ros.analysis.sizing.designs import (
     BY_TEST,
     KEPT,
     LOST,
     MAIN,
+    MAX_LOST,
     PAGE,
     SHOWN,
     TABLE,
