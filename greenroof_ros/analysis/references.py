@@ -88,12 +88,3 @@ def find_peak(volumes: Values, durations: Values, minutes: float) -> float:
     starts = np.concatenate((edges - window, edges))
     sums = np.interp(starts + window, edges, total) - np.interp(starts, edges, total)
     return float(sums.max()) / window
-
-
-def return_periods(count: int) -> list[float]:
-    """Return the return periods of the largest values of some years, from the largest (years).
-
-    The plotting position is Weibull's: the m-th largest of n values has a return period of
-    (n + 1) / m.
-    """
-    return [(count + 1) / (place + 1) for place in range(count)]
