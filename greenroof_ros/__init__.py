@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from greenroof_ros.analysis.sizing.run import size
     from greenroof_ros.analysis.storms import design_storm, storms
     from greenroof_ros.analysis.study import study
-    from greenroof_ros.analysis.verification.result import verify
+    from greenroof_ros.analysis.verification import verify
     from greenroof_ros.api.environment import Environment
     from greenroof_ros.api.scenarios import scenarios, score
     from greenroof_ros.api.simulate import Result, compare, read_bag, read_site, simulate
@@ -39,7 +39,7 @@ _MODULES = {
     "read_bag": "api.simulate", "read_site": "api.simulate",
     "scenarios": "api.scenarios", "score": "api.scenarios", "simulate": "api.simulate",
     "size": "analysis.sizing.run", "storms": "analysis.storms", "study": "analysis.study",
-    "verify": "analysis.verification.result",
+    "verify": "analysis.verification",
 }
 
 

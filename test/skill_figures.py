@@ -9,8 +9,8 @@ import numpy as np
 import polars as pl
 from places import DATA
 
+from greenroof_ros.forecast.choice import Skill
 from greenroof_ros.forecast.models import ErrorModel
-from greenroof_ros.forecast.skill import Skill
 from greenroof_ros.weather.series import Weather
 
 YEARS = range(2015, 2026)

@@ -127,6 +127,29 @@ def distinguish_series(name: str, values: list[str], *, points: bool = False) ->
     }
 
 
+def draw_band(
+    base: alt.Chart, name: str, ends: tuple[str, str] = ("_min", "_max"), form: str = ""
+) -> Chart:
+    """Draw the mean of a result as a line, and its range as a band.
+
+    Args:
+        base: chart with the data, x and the series.
+        name: field of the mean.
+        ends: endings of the names of the fields of the lower and the upper end.
+        form: format of the result's axis; Vega's own if empty.
+    """
+    axis = alt.Axis(format=form) if form else alt.Axis()
+    low, high = (name + end for end in ends)
+    return alt.layer(
+        base.mark_area(opacity=0.15, strokeOpacity=0).encode(
+            y=alt.Y(f"{low}:Q", title=None, axis=axis), y2=alt.Y2(f"{high}:Q")
+        ),
+        base.mark_line(strokeWidth=2, point=True).encode(
+            y=alt.Y(f"{name}:Q", title=None, scale=alt.Scale(zero=True))
+        ),
+    )
+
+
 def round_value(value: float | None) -> float | None:
     """Return a value with as many digits as a figure can show; None if it is not finite."""
     return None if value is None or not math.isfinite(value) else float(f"{value:.7g}")

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from greenroof_ros.controllers.registry import find_controller
 from greenroof_ros.physics.storm_water import connected_area
-from greenroof_ros.results.forked_polars import make_frame
 from greenroof_ros.results.metrics import METRICS
 from greenroof_ros.results.sums import PEAKS_MIN
+from greenroof_ros.results.table import make_frame
 from greenroof_ros.simulation.run import Run
 from greenroof_ros.simulation.season import Case, simulate_season
 from greenroof_ros.site.file import check_site
@@ -88,12 +88,3 @@ def find_peak(volumes: Values, durations: Values, minutes: float) -> float:
     starts = np.concatenate((edges - window, edges))
     sums = np.interp(starts + window, edges, total) - np.interp(starts, edges, total)
     return float(sums.max()) / window
-
-
-def return_periods(count: int) -> list[float]:
-    """Return the return periods of the largest values of some years, from the largest (years).
-
-    The plotting position is Weibull's: the m-th largest of n values has a return period of
-    (n + 1) / m.
-    """
-    return [(count + 1) / (place + 1) for place in range(count)]

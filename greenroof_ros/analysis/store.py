@@ -9,12 +9,11 @@ from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any
 
-from greenroof_ros.analysis.case import Case, Outcome
-from greenroof_ros.analysis.names import name_cases
+from greenroof_ros.analysis.case import Case, Outcome, name_cases
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.files import add_path_to_errors, replace_text
 from greenroof_ros.base.processes import LockedError, lock_file
-from greenroof_ros.forecast.skill import REAL, read_skill
+from greenroof_ros.forecast.choice import REAL, read_skill
 from greenroof_ros.results.table import format_csv, parameter_columns
 from greenroof_ros.results.trajectory import TRAJECTORY
 from greenroof_ros.results.versions import versions

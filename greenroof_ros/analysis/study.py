@@ -23,13 +23,11 @@ from greenroof_ros.controllers.registry import DEFAULT, choose_class, find_contr
 from greenroof_ros.forecast.choice import ForecastChoice
 from greenroof_ros.forecast.issue import read_archive, write_forecasts
 from greenroof_ros.physics.sensor_and_pump import SensorAndPump
-from greenroof_ros.results.forked_polars import make_frame
-from greenroof_ros.results.table import find_differing_keys
+from greenroof_ros.results.table import find_differing_keys, make_frame
 from greenroof_ros.simulation.inputs import RunInputs, find_needs, make_inputs
 from greenroof_ros.simulation.run import Run
 from greenroof_ros.site.site import Site
-from greenroof_ros.weather.frame import is_frame
-from greenroof_ros.weather.read import read_weather, write_plain
+from greenroof_ros.weather.read import is_frame, read_weather, write_plain
 from greenroof_ros.weather.records import write_records
 
 if TYPE_CHECKING:

@@ -91,6 +91,23 @@ def write_range(
     return texts[0] if texts[1] == texts[2] else f"{texts[0]} ({texts[1]} to {texts[2]})"
 
 
+def tabulate_peaks(caption: str, peaks: Mapping[str, Iterable[float]]) -> Table:
+    """Return the table of the five highest peaks of each case, by return period.
+
+    The plotting position is Weibull's: the m-th largest of n values has a return period of
+    (n + 1) / m.
+
+    Args:
+        caption: caption of the table.
+        peaks: the peak of each season, by case; all cases have the same seasons.
+    """
+    ranked = [*zip(*(sorted(each, reverse=True) for each in peaks.values()), strict=True)]
+    return Table(caption, ["return period (years)", *peaks], [
+        [f"{(len(ranked) + 1) / place:.3g}", *map(format_number, row)]
+        for place, row in enumerate(ranked[:5], start=1)
+    ])
+
+
 def _describe(metric: Metric) -> Column:
     if metric.form.endswith("%"):
         return Column(metric.label, "%", format_share)

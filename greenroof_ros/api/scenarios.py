@@ -25,7 +25,7 @@ from greenroof_ros.api.simulate import (
 )
 from greenroof_ros.base.errors import ConfigurationError, describe_choices, require_extra
 from greenroof_ros.base.files import read_yaml, shared_directory
-from greenroof_ros.controllers.adapt import note_arrays
+from greenroof_ros.controllers.protocol import note_arrays
 from greenroof_ros.simulation.bound import BLOCK_S, bound_discharge, clairvoyant_bound
 from greenroof_ros.simulation.inputs import INPUTS, make_inputs
 

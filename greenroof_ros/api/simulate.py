@@ -22,8 +22,8 @@ from greenroof_ros.controllers.decide import valid_number
 from greenroof_ros.controllers.outlet import SHARE
 from greenroof_ros.controllers.registry import ControllerChoice, choose_class, find_controller
 from greenroof_ros.physics.storm_water import Event
-from greenroof_ros.results.forked_polars import make_frame
 from greenroof_ros.results.metrics import METRICS
+from greenroof_ros.results.table import make_frame
 from greenroof_ros.results.trajectory import COLUMNS, TRAJECTORY, Time, Trajectory, zone_name
 from greenroof_ros.simulation import loop, summary
 from greenroof_ros.simulation.directory import make_run_directory, write_configuration
@@ -493,7 +493,7 @@ class Comparison:
             4
         """
         with require_extra("study"):
-            from greenroof_ros.analysis.report.trajectories import overlay_simulations
+            from greenroof_ros.analysis.report.figures import overlay_simulations
         return overlay_simulations({
             name: (result.run.site, result.ticks.between(start, end))
             for name, result in self.results.items()

@@ -20,9 +20,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from greenroof_ros.analysis.sizing.choice import KNEE
-from greenroof_ros.analysis.sizing.designs import OUTLETS, TARGETS, VOLUMES
-from greenroof_ros.analysis.sizing.results import PAGE, TABLE
+from greenroof_ros.analysis.sizing.designs import KNEE, OUTLETS, PAGE, TABLE, TARGETS, VOLUMES
 from greenroof_ros.analysis.sizing.run import KNEE_RANGE, size
 from greenroof_ros.base.command_line import (
     Parser,

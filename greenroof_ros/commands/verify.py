@@ -25,8 +25,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from greenroof_ros.analysis.verification.result import verify
-from greenroof_ros.analysis.verification.scores import SCORES
+from greenroof_ros.analysis.verification import SCORES, verify
 from greenroof_ros.base.command_line import (
     Parser,
     add_site,

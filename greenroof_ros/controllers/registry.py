@@ -17,10 +17,9 @@ import numpy as np
 from greenroof_ros.base.errors import ConfigurationError, describe_choices, suggest_names
 from greenroof_ros.base.parameter import Parameter, read_sections
 from greenroof_ros.controllers import outlet
-from greenroof_ros.controllers.adapt import adapt
 from greenroof_ros.controllers.decide import OwnCode, find_frame
 from greenroof_ros.controllers.outlet import OutletPolicy, requested_share
-from greenroof_ros.controllers.protocol import Controller, set_optional
+from greenroof_ros.controllers.protocol import Controller, adapt, set_optional
 from greenroof_ros.interface.topics import node_names
 from greenroof_ros.site.horizon import MAX_HORIZON, look_ahead_ends
 from greenroof_ros.site.site import Site
@@ -29,7 +28,7 @@ _HERE = "greenroof_ros.controllers"
 BUILT_IN = {
     "mpc": f"{_HERE}.mpc:Mpc",
     "onoff": f"{_HERE}.onoff:OnOff",
-    "anticipating_onoff": f"{_HERE}.anticipating_onoff:AnticipatingOnOff",
+    "anticipating_onoff": f"{_HERE}.onoff:AnticipatingOnOff",
     "lookahead": f"{_HERE}.lookahead:Lookahead",
 }
 # The controller that runs unless a user chooses another.

@@ -5,11 +5,11 @@ no time of issue, and a file states its own times of issue.
 
 **Forecasts with errors** are wrong in the ways real forecasts are: missed rain, false alarms, wrong
 times and wrong amounts. The normal variable z behind the recorded rain (see
-:mod:`greenroof_ros.forecast.skill`) is forecast as
+:mod:`greenroof_ros.forecast.choice`) is forecast as
 
     f_j = s z + sqrt(s - s^2) zeta + sqrt(1 - s) xi_j
 
-at each frequency, with the coherence s defined in :mod:`greenroof_ros.forecast.skill`. The first
+at each frequency, with the coherence s defined in :mod:`greenroof_ros.forecast.choice`. The first
 two terms are known to the forecasters; zeta is an error common to all members, and xi_j is the
 error of member j alone. Both zeta and xi_j have the spectrum of z, and so does f_j. It therefore
 rains in forecasts as often as in the records. Any two members have the coherence s with each other,
@@ -34,9 +34,15 @@ from numpy.typing import NDArray
 
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.times import from_epoch_ns, hours_since_1970, to_minutes
-from greenroof_ros.forecast.choice import ENSEMBLE, PERFECT, ForecastChoice
+from greenroof_ros.forecast.choice import (
+    ENSEMBLE,
+    PERFECT,
+    Climate,
+    ForecastChoice,
+    Skill,
+    read_skill,
+)
 from greenroof_ros.forecast.issue import ISSUE_HOURS, SERVICE_DELAY_H, IssuedForecast, read_archive
-from greenroof_ros.forecast.skill import Climate, Skill, read_skill
 from greenroof_ros.site.site import Site
 from greenroof_ros.weather.quantities import (
     EVAPOTRANSPIRATION,

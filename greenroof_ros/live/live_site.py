@@ -33,7 +33,7 @@ from greenroof_ros.base.times import iso
 from greenroof_ros.controllers.outlet import OPEN
 from greenroof_ros.controllers.registry import EXTERNAL, FOR_A_SITE
 from greenroof_ros.forecast.service import OPEN_METEO
-from greenroof_ros.interface.alarm import Alarm, to_record
+from greenroof_ros.interface.alarm import Alarm, read_alarms, to_record
 from greenroof_ros.interface.states import PUMP, RECORDER, VALVE
 from greenroof_ros.live.devices.drive import DriveEndpoint
 from greenroof_ros.live.devices.drive_file import find_drive_file
@@ -55,7 +55,6 @@ from greenroof_ros.live.supervisor import (
     StopDrive,
 )
 from greenroof_ros.live.upkeep import silence_limit
-from greenroof_ros.results.alarm_file import read_alarms
 from greenroof_ros.results.versions import versions
 from greenroof_ros.ros.alarms import ROLE
 from greenroof_ros.ros.domain import add_graph_arguments, lock_bringup, prepare_ros, ros_arguments

@@ -23,10 +23,17 @@ from greenroof_ros.base.disk import DiskThread
 from greenroof_ros.base.files import replace_text
 from greenroof_ros.base.parameter import Parameter
 from greenroof_ros.base.standard_error import Lines
-from greenroof_ros.interface.alarm import ALARMS, ERROR, Alarm, advise, to_record, to_status
+from greenroof_ros.interface.alarm import (
+    ALARMS,
+    ERROR,
+    Alarm,
+    advise,
+    read_alarms,
+    to_record,
+    to_status,
+)
 from greenroof_ros.interface.states import DriveState
 from greenroof_ros.interface.topics import read_topics
-from greenroof_ros.results.alarm_file import read_alarms
 from greenroof_ros.ros.alarms import RESTARTED, ROLE, Diagnoses, Judge, describe_alarm
 from greenroof_ros.ros.graph_node import GraphNode
 from greenroof_ros.ros.messages import qos_profile

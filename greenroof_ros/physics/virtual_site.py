@@ -16,8 +16,8 @@ from greenroof_ros.physics.sensor_and_pump import (
     read_errors,
     switch_pump,
 )
+from greenroof_ros.physics.storm_water import make_valve, move_valve
 from greenroof_ros.physics.tick import OWN_PUMPS, step
-from greenroof_ros.physics.valve import make_valve, move_valve
 from greenroof_ros.site.site import Site
 
 

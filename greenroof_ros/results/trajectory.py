@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from greenroof_ros.base.errors import ConfigurationError, require_extra
 from greenroof_ros.base.times import epoch_ns, read_start
-from greenroof_ros.results.forked_polars import refuse_forked_polars
+from greenroof_ros.results.table import refuse_forked_polars
 from greenroof_ros.site.site import Site
 
 if TYPE_CHECKING:

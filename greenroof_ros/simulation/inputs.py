@@ -30,11 +30,13 @@ from greenroof_ros.simulation.run import Run, count_ticks
 from greenroof_ros.site.file import check_site, read_site
 from greenroof_ros.site.site import Site
 from greenroof_ros.weather.climate import Climate
-from greenroof_ros.weather.frame import find_zone, is_frame, read_frame
 from greenroof_ros.weather.read import (
     complete_records,
     default_weather,
     find_files,
+    find_zone,
+    is_frame,
+    read_frame,
     read_weather,
 )
 from greenroof_ros.weather.records import Records

@@ -15,9 +15,8 @@ from numpy.typing import NDArray
 
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.times import epoch_ns
-from greenroof_ros.controllers.adapt import note_arrays
 from greenroof_ros.controllers.outlet import OutletPolicy
-from greenroof_ros.controllers.protocol import Controller
+from greenroof_ros.controllers.protocol import Controller, note_arrays
 from greenroof_ros.controllers.registry import ControllerChoice
 from greenroof_ros.forecast.choice import ForecastChoice
 from greenroof_ros.forecast.steps import Forecast

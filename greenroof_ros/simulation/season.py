@@ -34,9 +34,8 @@ from greenroof_ros.physics.sensor_and_pump import (
     read_errors,
     switch_pump,
 )
-from greenroof_ros.physics.storm_water import Event, find_wet
+from greenroof_ros.physics.storm_water import Event, find_wet, make_valve, move_valve
 from greenroof_ros.physics.tick import OWN_PUMPS, step
-from greenroof_ros.physics.valve import make_valve, move_valve
 from greenroof_ros.results import sums as s
 from greenroof_ros.results.metrics import Results, end_run, find_new_days
 from greenroof_ros.results.sums import add

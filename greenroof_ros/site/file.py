@@ -289,24 +289,6 @@ class SiteFile:
         return _make_site(_override(self._entries, own), self._path, self.site)
 
 
-def merge_site_file(path: Path, changes: Mapping[str, Any]) -> str:
-    """Return the merged text of a site file and of the files that it extends.
-
-    Plain keys are kept, so that the parameters that they determine still depend on other changes.
-    For example, a pump's flow still follows from the irrigation rate and the roof's area.
-
-    Args:
-        path: path of the file.
-        changes: as for :func:`read_site`.
-
-    Raises:
-        ConfigurationError: if a file cannot be read.
-    """
-    own = {name: _Entry(value) for name, value in changes.items()}
-    entries = _override(_read_entries(path), own)
-    return "".join(f"{name}: {json.dumps(each.value)}\n" for name, each in entries.items())
-
-
 def check_site(site: Site) -> Site:
     """Check a site that a program created, and return it with its values as Python numbers.
 

@@ -1,11 +1,18 @@
-"""Functions that find weather files and join them into one set of records."""
+"""Functions that find weather files and join them into one set of records.
+
+A polars or pandas data frame has the columns of this project's own form.
+"""
 
 from __future__ import annotations
 
 import glob
+import itertools
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from datetime import date, tzinfo
 from pathlib import Path
+from typing import Any
+from zoneinfo import ZoneInfo
 
 import numpy as np
 
@@ -14,12 +21,12 @@ from greenroof_ros.base.files import find_shipped, shared_directory
 from greenroof_ros.site.site import Place
 from greenroof_ros.weather import evapotranspiration, open_meteo, quantities
 from greenroof_ros.weather.climate import RECORDED, Climate, change_climate
-from greenroof_ros.weather.description import Description, read_description
+from greenroof_ros.weather.description import TIME, Description, read_description
 from greenroof_ros.weather.evapotranspiration import FAO56, HARGREAVES
-from greenroof_ros.weather.quantities import EVAPOTRANSPIRATION, PRECIPITATION, TEMPERATURE
+from greenroof_ros.weather.quantities import EVAPOTRANSPIRATION, PRECIPITATION, TEMPERATURE, WEATHER
 from greenroof_ros.weather.records import Array, Records, bridge_gaps, make_hours, write_records
 from greenroof_ros.weather.series import FILL, REFUSE, Weather
-from greenroof_ros.weather.table import Rows, read_rows
+from greenroof_ros.weather.table import Row, Rows, Table, arrange, read_rows
 
 # The longest gap (h) that is filled, by linear interpolation between the hours before and after.
 # Temperature, wind and evapotranspiration follow the sun, so half a day must remain to show their
@@ -337,3 +344,49 @@ def _average_days_around(series: Array) -> Array:
     near = np.pad(series, edge, constant_values=np.nan)[hours + _SAME_TIME_OF_DAY[:, None]]
     known = np.count_nonzero(~np.isnan(near), axis=0)
     return np.where(known > 0, np.nansum(near, axis=0) / np.maximum(known, 1), np.nan)
+
+
+_NAME = Path("the data frame")
+
+
+def is_frame(value: Any) -> bool:
+    """Return whether a value is a polars or pandas data frame."""
+    return hasattr(value, "columns") and hasattr(value, "to_numpy")
+
+
+def read_frame(frame: Any, site: Place) -> Records:
+    """Return the records in a data frame.
+
+    Args:
+        frame: data frame with a column ``time`` or, in pandas, an index of times.
+        site: site whose clock applies to times without an offset.
+
+    Raises:
+        ConfigurationError: if a column or a value is invalid; the message states the row, counted
+            from 0.
+    """
+    if not len(frame):
+        raise ConfigurationError("must have rows", file=_NAME)
+    names = [*map(str, frame.columns)]
+    if twice := [name for name in names if names.count(name) > 1]:
+        raise ConfigurationError("is the name of more than one column", file=_NAME, key=twice[0])
+    times = _list_times(frame)
+    if not times or not isinstance(times[0], (str, date)):
+        expected = "must be a column of the data frame, or its index must consist of times"
+        raise ConfigurationError(expected, file=_NAME, key=TIME)
+    if hasattr(frame, "notna"):  # pandas has several values that stand for a missing one
+        frame = frame.astype(object).where(frame.notna(), None)
+    series = {str(name): [*frame[name]] for name in frame.columns} | {TIME: times}
+    rows = [*map(Row, itertools.count(), zip(*series.values(), strict=True))]
+    table = Table(_NAME, [*series], None, rows)
+    return make_hours([arrange(table, Description(name="data frame"), site, WEATHER)])
+
+
+def find_zone(frame: Any) -> tzinfo | None:
+    """Return the time zone of a data frame's times; None if they have no zone or are text."""
+    zone: Any = getattr(next(iter(_list_times(frame)), None), "tzinfo", None)
+    return ZoneInfo(zone.zone) if hasattr(zone, "zone") else zone  # from pytz, as in older pandas
+
+
+def _list_times(frame: Any) -> list[Any]:
+    return [*(frame[TIME] if TIME in frame.columns else getattr(frame, "index", ()))]

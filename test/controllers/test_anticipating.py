@@ -17,7 +17,7 @@ from paper import PAPER_SITE, lookahead, metrics_of, paper_run, rain_scaled, sit
 from places import CONFIG, DATA
 
 from greenroof_ros.controllers.anticipating import AfterForecast
-from greenroof_ros.controllers.anticipating_onoff import AnticipatingOnOff
+from greenroof_ros.controllers.onoff import AnticipatingOnOff
 from greenroof_ros.controllers.regret_budget import RegretBudget
 from greenroof_ros.controllers.roof_observer import RoofObserver
 from greenroof_ros.forecast.models import ForecastModel

@@ -22,8 +22,8 @@ from skill_figures import (
     table,
 )
 
+from greenroof_ros.forecast.choice import read_skill
 from greenroof_ros.forecast.models import ErrorModel
-from greenroof_ros.forecast.skill import read_skill
 
 Array = NDArray[np.float64]
 REAL = read_skill("real")

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from paper import MIDNIGHT, PAPER_SITE, paper_run, site_with, weather_of
 from refusals import refusal
 
-from greenroof_ros.forecast.choice import ForecastChoice, choose
+from greenroof_ros.forecast.choice import ForecastChoice, choose, read_skill
 from greenroof_ros.forecast.issue import (
     IssuedForecast,
     read_forecasts,
@@ -29,7 +29,6 @@ from greenroof_ros.forecast.models import (
     ForecastModel,
     make_model,
 )
-from greenroof_ros.forecast.skill import read_skill
 from greenroof_ros.forecast.steps import (
     Forecast,
     PerfectForecast,

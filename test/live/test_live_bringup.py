@@ -27,7 +27,7 @@ from places import CONFIG
 from ros_rig import Site, newest, write_forecast
 from rosbags.highlevel import AnyReader
 
-from greenroof_ros.results.alarm_file import read_alarms
+from greenroof_ros.interface.alarm import read_alarms
 
 EXTERNAL = "--controller", "mpc", "--sensors", "external", "--pump", "external"
 # Of a low roof and a full cistern.

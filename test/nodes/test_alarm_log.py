@@ -10,10 +10,9 @@ from typing import Any
 
 import pytest
 
-from greenroof_ros.interface.alarm import ALARMS, Alarm, to_record
+from greenroof_ros.interface.alarm import ALARMS, Alarm, read_alarms, to_record
 from greenroof_ros.nodes import alarms
 from greenroof_ros.nodes.alarms import AlarmLog
-from greenroof_ros.results.alarm_file import read_alarms
 
 LOST = Alarm(
     1, "/pump", "drive", "pump", "drive_lost", "error", "no connection", 1_795_000_000.25,

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from greenroof_ros.physics.valve import make_valve, move_valve
+from greenroof_ros.physics.storm_water import make_valve, move_valve
 
 SHARES = st.sampled_from([0.0, 0.4999, 0.5, 1.0, math.nan]) | st.floats(0, 1)
 

@@ -33,8 +33,7 @@ from places import words_of
 _ROOMS = (
     "base", "interface", "controllers", "physics", "results", "simulation", "live.pumping",
     "live.devices", "live.simulators", "watch", "analysis", "analysis.report", "analysis.sizing",
-    "analysis.district", "analysis.calibration",
-    "analysis.verification", "ros", "bringup", "nodes", "live",
+    "analysis.district", "analysis.calibration", "ros", "bringup", "nodes", "live",
 )
 _OF_ROS = ("ros", "bringup", "nodes", "live")
 _LIMIT_S = 900

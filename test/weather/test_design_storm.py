@@ -12,8 +12,13 @@ from numpy.typing import NDArray
 from places import CONFIG, DATA
 from refusals import refusal
 
-from greenroof_ros.weather.annual_maxima import fit_gumbel, fit_record
-from greenroof_ros.weather.design_storm import Depths, make_storm, read_depths
+from greenroof_ros.weather.design_storm import (
+    Depths,
+    fit_gumbel,
+    fit_record,
+    make_storm,
+    read_depths,
+)
 from greenroof_ros.weather.records import Records
 
 NOAA = read_depths(DATA / "noaa_atlas_14_fort_myers.yaml")

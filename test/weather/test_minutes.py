@@ -21,8 +21,7 @@ from greenroof_ros.forecast.choice import choose
 from greenroof_ros.forecast.steps import make_forecast
 from greenroof_ros.site.file import read_site
 from greenroof_ros.site.site import Site
-from greenroof_ros.weather.frame import read_frame
-from greenroof_ros.weather.read import complete_records, read_measured
+from greenroof_ros.weather.read import complete_records, read_frame, read_measured
 from greenroof_ros.weather.records import Records, write_records
 from greenroof_ros.weather.series import FILL, REFUSE, WeatherSeries
 

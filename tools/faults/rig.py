@@ -29,10 +29,9 @@ from places import CONFIG, guarding
 from pump_rig import settings_for
 from ros_rig import write_forecast
 
-from greenroof_ros.interface.alarm import Alarm
+from greenroof_ros.interface.alarm import Alarm, read_alarms
 from greenroof_ros.live.devices.modbus_line import Address, parse_address
 from greenroof_ros.physics.pump import flow_at
-from greenroof_ros.results.alarm_file import read_alarms
 from greenroof_ros.site.file import read_site
 from greenroof_ros.site.site import Site
 

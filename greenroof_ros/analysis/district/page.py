@@ -8,9 +8,10 @@ from typing import Any
 import altair as alt
 import polars as pl
 
+from greenroof_ros.analysis import tables
 from greenroof_ros.analysis.district.file import DRAIN, NONE, ORIFICE, PLAN, ROOF
-from greenroof_ros.analysis.figures import Figure, Panel, distinguish_series
-from greenroof_ros.analysis.references import NO_IRRIGATION, PEAKS, return_periods
+from greenroof_ros.analysis.figures import Figure, Panel, distinguish_series, draw_band
+from greenroof_ros.analysis.references import NO_IRRIGATION, PEAKS
 from greenroof_ros.analysis.seasons import find_ranges
 from greenroof_ros.analysis.tables import COLUMNS, Column, Table, format_number, write_range
 from greenroof_ros.analysis.tables import format_share as share
@@ -89,18 +90,14 @@ def tabulate_peaks(rows: pl.DataFrame, best: Mapping[str, Any], minutes: int) ->
         best: the flow that is compared with the district as it is.
         minutes: width of the window of the peaks (min).
     """
-    peaks = []
+    peaks = dict[str, pl.Series]()
     for flow in (rows.row(0, named=True), best):
         own = rows.filter(outlet=flow["outlet"], adoption=flow["adoption"])
         means = own.group_by("season").agg(pl.col(PEAKS[minutes]).mean())
-        peaks.append(means[PEAKS[minutes]].sort(descending=True))
-    periods = return_periods(len(peaks[0]))
-    return Table(
+        peaks[label(flow)] = means[PEAKS[minutes]]
+    return tables.tabulate_peaks(
         f"The seasons' highest flows over {minutes} min, unrouted (L/s); the m-th largest of n has "
-        "a return period of (n + 1) / m years (Weibull)",
-        ["return period (years)", "as it is", label(best)],
-        [[f"{period:.3g}", *map(format_number, row)]
-         for period, *row in zip(periods, *peaks, strict=True)][:5],
+        "a return period of (n + 1) / m years (Weibull)", peaks,
     )
 
 
@@ -117,12 +114,7 @@ def draw_adoption(table: pl.DataFrame) -> Figure:
                 axis=alt.Axis(format="%")), **distinguish_series("outlet", outlets),
     )
     panels = [
-        Panel(alt.layer(
-            base.mark_area(opacity=0.12, strokeOpacity=0).encode(
-                y=alt.Y(f"{name}_p5:Q", title=None), y2=alt.Y2(f"{name}_p95:Q")
-            ),
-            base.mark_line(point=True, strokeWidth=2).encode(y=alt.Y(f"{name}:Q", title=None)),
-        ), VOLUMES[name].heading) for name in names
+        Panel(draw_band(base, name, ENDS), VOLUMES[name].heading) for name in names
     ]
     return Figure("adoption", "Volumes in a season, by adoption", "Lines are means; bands extend "
                   "from the 5th to the 95th percentile.", tuple(panels), 2,

@@ -6,7 +6,7 @@ import polars
 
 from greenroof_ros.analysis.report.runs import Sources
 from greenroof_ros.analysis.tables import BOUNDS, COLUMNS, TOTAL, choose_metrics
-from greenroof_ros.results.forked_polars import make_frame
+from greenroof_ros.results.table import make_frame
 
 # Metrics of which more is better.
 _MORE = {

@@ -1,4 +1,14 @@
-"""The designs that are compared: cistern volumes, targets and outlets of one site."""
+"""The designs that are compared: cistern volumes, targets and outlets of one site.
+
+The target is chosen by lost evapotranspiration, and the cistern by savings.
+
+The knee is the smallest cistern beyond which every additional m3 saves less than a stated amount.
+For volumes V_1 < V_2 < ... that save the water S_1, S_2, ... in a season,
+
+    knee = the smallest V_i with (S_{j+1} - S_j) / (V_{j+1} - V_j) < amount for all j >= i.
+
+Saved water is mains water that is not used and storm water that does not reach the sewer.
+"""
 
 from __future__ import annotations
 
@@ -7,6 +17,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
+from greenroof_ros.analysis.tables import COLUMNS, Column, format_share
 from greenroof_ros.base.errors import ConfigurationError, describe_choices
 from greenroof_ros.base.ranges import Range
 from greenroof_ros.controllers.outlet import DRAIN, PLAN
@@ -202,3 +216,60 @@ def list_assumed(site: Site) -> list[str]:
     elif not site.low_outlet_valve:
         notes.append("Assumed: drain and plan have a valve on the low outlet of the site.")
     return notes
+
+
+Values = NDArray[np.float64]
+
+KNEE = 1.0
+"""Water that another m3 of cistern must save (m3 a season): one filling [assumed]."""
+
+MAX_LOST = 0.001
+"""share of the potential evapotranspiration that plants may lose at the recommended target, for
+lack of water [assumed]"""
+
+
+def find_knee(volumes: Sequence[float], saved: Values, amount: float) -> int:
+    """Return the index of the knee; that of the largest cistern if it is smaller than the knee.
+
+    Args:
+        volumes: volumes of the cisterns (m3), in ascending order.
+        saved: water that each cistern saves in a season, relative to any one of them (m3), shape
+            (n,).
+        amount: minimum savings per additional m3 of cistern (m3).
+    """
+    brings = np.diff(saved) / np.diff(volumes)
+    enough = np.flatnonzero(brings >= amount)
+    return int(enough[-1]) + 1 if enough.size else 0
+
+
+def find_target(targets: Sequence[float], lost: Values) -> float:
+    """Return the lowest target at which plants lose at most 0.1 % of their evapotranspiration (mm).
+
+    A higher target takes more water, also from the mains. If there is no such target, return the
+    target at which plants lose least.
+
+    Args:
+        targets: targets to choose from (mm), in ascending order.
+        lost: mean share of the potential evapotranspiration that is lost at each target (1), shape
+            (n,).
+    """
+    fits = np.flatnonzero(lost <= MAX_LOST)
+    return targets[int(fits[0] if fits.size else np.argmin(lost))]
+
+
+PAGE, TABLE = "sizes.html", "sizes.csv"
+BY_TEST = ["assumption", "value", "best_cistern_m3"]
+"""columns that identify what is assumed, and the cistern that would be recommended then"""
+
+KEPT, LOST = "storm_water_kept_share", "evapotranspiration_lost_share"
+"""Results besides the metrics: the share of the rain on roof and catchment that does not reach the
+sewer in wet weather; and the share of the potential evapotranspiration that is lost for lack of
+water."""
+
+SHOWN = COLUMNS | {
+    KEPT: Column("rain kept out of the sewer in wet weather", "%", format_share),
+    LOST: Column("lost evapotranspiration", "%", format_share),
+}
+"""the presentation of each result, by name"""
+MAIN = ("mains_m3", "wet_discharge_m3", KEPT, "discharge_m3", "retention_share")
+"""the results in tables of cisterns"""

@@ -9,21 +9,21 @@ from typing import TYPE_CHECKING, Any
 import altair as alt
 import polars
 
-from greenroof_ros.analysis.figures import Figure, Panel, distinguish_series
+from greenroof_ros.analysis.figures import Figure, Panel, distinguish_series, draw_band
 from greenroof_ros.analysis.page import Section, make_page, write_output
-from greenroof_ros.analysis.references import PEAKS, return_periods
+from greenroof_ros.analysis.references import PEAKS
 from greenroof_ros.analysis.seasons import find_ranges
-from greenroof_ros.analysis.sizing.choice import MAX_LOST
-from greenroof_ros.analysis.sizing.results import (
+from greenroof_ros.analysis.sizing.designs import (
     BY_TEST,
     KEPT,
     LOST,
     MAIN,
+    MAX_LOST,
     PAGE,
     SHOWN,
     TABLE,
 )
-from greenroof_ros.analysis.tables import Table, format_number, write_range
+from greenroof_ros.analysis.tables import Table, tabulate_peaks, write_range
 
 if TYPE_CHECKING:
     from greenroof_ros.analysis.sizing.sizes import Sizes
@@ -34,8 +34,8 @@ _OF_TARGETS = (*MAIN, LOST, "stress_hours")
 _COMPARED = (
     "wet_discharge_m3", "discharge_m3", "retention_share", "overflow_days",
 )
-# The peaks that are shown, and how many of the largest.
-_PEAK_MIN, _RANKS = 5, 5
+# The peaks that are shown (min).
+_PEAK_MIN = 5
 _HEADINGS = {"volume_m3": "cistern (m³)", "target_mm": "target (mm)"}
 
 
@@ -169,17 +169,10 @@ def _tabulate_references(sizes: Sizes) -> Table:
 
 def _tabulate_peaks(sizes: Sizes) -> Table:
     """Return the table of the seasons' highest peaks by return period."""
-    peaks = {
-        case: sorted(rows[PEAKS[_PEAK_MIN]], reverse=True)
+    return tabulate_peaks(f"The seasons' highest discharge over {_PEAK_MIN} min (L/s)", {
+        str(case): rows[PEAKS[_PEAK_MIN]]
         for (case,), rows in _select_references(sizes).group_by("case", maintain_order=True)
-    }
-    periods = return_periods(len(sizes.seasons))
-    return Table(
-        f"The seasons' highest discharge over {_PEAK_MIN} min (L/s)",
-        ["return period (years)", *map(str, peaks)],
-        [[f"{period:.3g}", *map(format_number, row)]
-         for period, row in zip(periods, zip(*peaks.values(), strict=True), strict=True)][:_RANKS],
-    )
+    })
 
 
 # --- figures --------------------------------------------------------------------------------------
@@ -212,14 +205,8 @@ def _draw(
     series = distinguish_series("outlet", list(dict.fromkeys(table["outlet"])))
     base, panels = alt.Chart(alt.NamedData(name)).encode(x=x, **series), []
     for each in names:
-        axis = alt.Axis(format="%") if SHOWN[each].unit == "%" else alt.Axis()
-        band = base.mark_area(opacity=0.15, strokeOpacity=0).encode(
-            y=alt.Y(f"{each}_min:Q", title=None, axis=axis), y2=alt.Y2(f"{each}_max:Q")
-        )
-        line = base.mark_line(strokeWidth=2, point=True).encode(
-            y=alt.Y(f"{each}:Q", title=None, scale=alt.Scale(zero=True))
-        )
-        panels.append(Panel(alt.layer(band, line), SHOWN[each].heading, 200))
+        form = "%" if SHOWN[each].unit == "%" else ""
+        panels.append(Panel(draw_band(base, each, form=form), SHOWN[each].heading, 200))
     drawn = table.select(varied, "outlet", *(
         f"{each}{end}" for each in names for end in ("", "_min", "_max")
     ))

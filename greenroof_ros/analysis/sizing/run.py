@@ -12,14 +12,21 @@ from greenroof_ros.analysis.assumptions import OF_WEATHER, list_ends
 from greenroof_ros.analysis.references import simulate_references
 from greenroof_ros.analysis.seasons import find_ranges, find_seasons, list_notes, read_window
 from greenroof_ros.analysis.sizing import designs as plans
-from greenroof_ros.analysis.sizing.choice import KNEE, find_knee, find_target
-from greenroof_ros.analysis.sizing.designs import BY_DESIGN, Design
-from greenroof_ros.analysis.sizing.results import BY_TEST, KEPT, LOST
+from greenroof_ros.analysis.sizing.designs import (
+    BY_DESIGN,
+    BY_TEST,
+    KEPT,
+    KNEE,
+    LOST,
+    Design,
+    find_knee,
+    find_target,
+)
 from greenroof_ros.analysis.sizing.sizes import Sizes
 from greenroof_ros.base.ranges import Range
 from greenroof_ros.controllers.registry import find_controller
-from greenroof_ros.results.forked_polars import make_frame
 from greenroof_ros.results.metrics import METRICS
+from greenroof_ros.results.table import make_frame
 from greenroof_ros.simulation.inputs import make_inputs
 from greenroof_ros.simulation.run import Run
 from greenroof_ros.simulation.season import Case, simulate_season

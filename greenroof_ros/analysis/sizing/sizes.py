@@ -9,8 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from greenroof_ros.analysis.seasons import find_ranges
-from greenroof_ros.analysis.sizing.designs import BY_DESIGN, NONE, Design
-from greenroof_ros.analysis.sizing.results import KEPT, PAGE, SHOWN, TABLE
+from greenroof_ros.analysis.sizing.designs import BY_DESIGN, KEPT, NONE, PAGE, SHOWN, TABLE, Design
 from greenroof_ros.analysis.tables import write_range
 from greenroof_ros.base.errors import require_extra
 from greenroof_ros.site.site import Site
@@ -33,7 +32,7 @@ class Sizes:
             target.
         recommended: the recommended design.
         tested: results of the recommended design in each season, as used and at both ends of each
-            assumption, and of the initial state; :data:`.results.BY_TEST` says which.
+            assumption, and of the initial state; :data:`.designs.BY_TEST` says which.
         references: metrics without a green roof, and of one without irrigation, in each season,
             by ``case``.
         seasons: names of the seasons.

@@ -19,8 +19,15 @@ from greenroof_ros.live.pumping.limits import UsageLimits, find_unknown
 from greenroof_ros.live.pumping.state_file import DAY_S, SAVE_EVERY_S, StateFile
 from greenroof_ros.physics.cistern import low_outlet_flow
 from greenroof_ros.physics.parameters import plant_parameters
-from greenroof_ros.physics.storm_water import HOUR_S, time_without_rain
-from greenroof_ros.physics.valve import OPENS_AT, REST, SINCE, make_valve, move_valve
+from greenroof_ros.physics.storm_water import (
+    HOUR_S,
+    OPENS_AT,
+    REST,
+    SINCE,
+    make_valve,
+    move_valve,
+    time_without_rain,
+)
 from greenroof_ros.site.site import Site
 
 # Travel time of the valve (s), and maximum number of its moves in an hour, if the site file does

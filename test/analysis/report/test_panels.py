@@ -11,7 +11,7 @@ from inputs import NAMES, START
 from paper import PAPER_SITE
 
 from greenroof_ros.analysis.figures import Figure
-from greenroof_ros.analysis.report.trajectories import (
+from greenroof_ros.analysis.report.figures import (
     MAX_POINTS,
     draw_over_time,
     overlay_simulations,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from greenroof_ros.analysis.sizing.choice import find_knee, find_target
+from greenroof_ros.analysis.sizing.designs import find_knee, find_target
 
 VOLUMES = [1.0, 2.0, 4.0, 8.0]
 

@@ -18,9 +18,9 @@ from graphs import wait_for
 from places import CONFIG, DATA, Once
 
 import greenroof_ros as gr
-from greenroof_ros.analysis.references import return_periods
 from greenroof_ros.analysis.sizing.designs import BY_DESIGN, Design, build
 from greenroof_ros.analysis.sizing.sizes import Sizes
+from greenroof_ros.analysis.tables import tabulate_peaks
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.site.file import read_site
 
@@ -192,8 +192,11 @@ def test_compared_with_no_green_roof(sizes: Sizes) -> None:
 
 
 def test_return_periods() -> None:
-    """Weibull's plotting position, as in every textbook: of nine years, ten to 10/9."""
-    assert return_periods(9) == pytest.approx([10, 5, 10 / 3, 2.5, 2, 5 / 3, 10 / 7, 1.25, 10 / 9])
+    """Weibull's plotting position, as in every textbook: the five highest of nine years."""
+    table = tabulate_peaks("", {"one": [3.0, 9.0, 1.0, 2.0, 8.0, 7.0, 4.0, 6.0, 5.0]})
+    assert table.rows == [
+        ["10", "9"], ["5", "8"], ["3.33", "7"], ["2.5", "6"], ["2", "5"],
+    ]
 
 
 def test_another_climate() -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 from paper import site_file
 from studies import WEATHER, archive, cases_of, grid, record, rows_of, run_here
 
-from greenroof_ros.analysis.names import name_cases, tell_apart
+from greenroof_ros.analysis.case import name_cases, tell_apart
 
 # Windows, forecasts and settings: files with one name in two folders, and numbers that
 # differ in late digits.

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from greenroof_ros.analysis.verification.scores import crps, score_pairs
+from greenroof_ros.analysis.verification import crps, score_pairs
 
 # Finley's tornado forecasts of 1884 in Wilks (2011, Sect. 8.2), with 28 hits, 72 false alarms and
 # 23 misses; also www.cawcr.gov.au/projects/verification/Finley. And the rain of the WWRP working

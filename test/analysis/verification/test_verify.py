@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from places import DATA
 from scipy import stats
 
-from greenroof_ros.analysis.verification.result import verify
+from greenroof_ros.analysis.verification import verify
 from greenroof_ros.forecast.issue import IssuedForecast, write_forecasts
 
 GEM = DATA / "gem_global_previous_runs_2024-03.csv"

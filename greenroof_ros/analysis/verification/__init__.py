@@ -1,1 +1,0 @@
-"""Verification of forecasts: a comparison with records at different lead times."""
