@@ -16,6 +16,7 @@ import functools
 import hashlib
 import os
 import sys
+import threading
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from importlib.util import find_spec
@@ -32,6 +33,7 @@ _Function = TypeVar("_Function", bound=Callable[..., Any])
 # the C library, which plain Python uses. A program that sets the variable, or has imported numba,
 # has made its own choice.
 _NO_SVML = "NUMBA_DISABLE_INTEL_SVML"
+_IMPORTING = threading.Lock()  # held by the thread that imports numba
 
 # Number of ticks that take a second or more without numba.
 _MANY_TICKS = 100_000
@@ -78,12 +80,13 @@ def compiled(function: _Function) -> _Function:
     """
     if not can_compile():
         return function
-    own = _NO_SVML in os.environ
-    os.environ.setdefault(_NO_SVML, "1")
-    import numba
+    with _IMPORTING:
+        own = _NO_SVML in os.environ
+        os.environ.setdefault(_NO_SVML, "1")
+        import numba
 
-    if not own:
-        del os.environ[_NO_SVML]
+        if not own:
+            del os.environ[_NO_SVML]
     together, copies = _called_by(function, {}), {}
     described = repr([getattr(numba.config, "USING_SVML", None), *map(_describe, together)])
     digest = hashlib.sha256(described.encode()).hexdigest()[:12]
