@@ -254,6 +254,8 @@ class GreenRoofEnv(gymnasium.Env[Values, Values]):
         options = options or {}
         for name in options.keys() - {"start", "initial"}:
             raise ConfigurationError("must be start or initial", key="option", value=name)
+        if options and self._scenario is not None and not self._is_random:
+            raise ConfigurationError("is fixed by the scenario", key="option", value=[*options])
         run = self._make_run({**self._inputs, **options}) if options else self._own
         starts, hours = [run.start], 1
         if self._is_random and "start" not in options:

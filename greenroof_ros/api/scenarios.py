@@ -25,6 +25,7 @@ from greenroof_ros.api.simulate import (
 )
 from greenroof_ros.base.errors import ConfigurationError, describe_choices, require_extra
 from greenroof_ros.base.files import read_yaml, shared_directory
+from greenroof_ros.base.ranges import Range
 from greenroof_ros.controllers.protocol import note_arrays
 from greenroof_ros.simulation.bound import BLOCK_S, bound_discharge, clairvoyant_bound
 from greenroof_ros.simulation.inputs import INPUTS, make_inputs
@@ -37,6 +38,7 @@ REFERENCES = _CONFIG / "scenarios.csv"
 """file with the scores of the scenarios' controllers"""
 # Maximum number of time blocks with a variable of their own when a bound is computed.
 _BLOCKS = 5000
+_COUNT = Range(1, 10_000, whole=True)
 
 
 @dataclass(frozen=True)
@@ -103,10 +105,14 @@ class Scenario:
     def training_starts(self, hours: float) -> tuple[list[datetime], int]:
         """Return the first start in each year to train on, and the number of hourly starts.
 
-        A run of some hours is then within the scenario's days of the year, unless it is longer.
+        A run of some hours is then within the scenario's days of the year.
+
+        Raises:
+            ConfigurationError: if a run is longer than the scenario.
         """
+        Range(0.0, self.run["hours"], "h").read(hours, key="hours")
         first, spare = datetime.fromisoformat(self.run["start"]), int(self.run["hours"] - hours)
-        return [first.replace(year=year) for year in self.train["years"]], 1 + max(0, spare)
+        return [first.replace(year=year) for year in self.train["years"]], 1 + spare
 
     def evaluate(self, result: Result) -> float:
         """Return the score of a run in this scenario."""
@@ -269,7 +275,13 @@ def score(
     known = find_scenario(scenario)
     for name in parameters.keys() & INPUTS:
         raise ConfigurationError("is fixed by the scenario", key=name, value=parameters[name])
-    draws = [None] if seeds is None else range(1, seeds + 1) if isinstance(seeds, int) else seeds
+    draws: list[Any] = [None]
+    if isinstance(seeds, Iterable):
+        draws = [*seeds]
+    elif seeds is not None:
+        draws = [*range(1, 1 + int(_COUNT.read(seeds, key="seeds")))]
+    if not draws:
+        raise ConfigurationError("must be at least one seed", key="seeds", value=seeds)
     if hasattr(controller, "predict") and not isinstance(controller, type):
         results = [_play(controller, known, {**parameters, "draw": draw}) for draw in draws]
         name = type(controller).__name__

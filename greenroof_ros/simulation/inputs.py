@@ -29,7 +29,7 @@ from greenroof_ros.physics.start import INITIAL_STATES, find_state
 from greenroof_ros.simulation.run import Run, count_ticks
 from greenroof_ros.site.file import check_site, read_site
 from greenroof_ros.site.site import Site
-from greenroof_ros.weather.climate import Climate
+from greenroof_ros.weather.climate import RECORDED, Climate
 from greenroof_ros.weather.read import (
     complete_records,
     default_weather,
@@ -137,6 +137,11 @@ class RunInputs(Climate):
         zone = find_zone(self.weather) if is_frame(self.weather) else None
         if site.time_zone is not None:
             zone = site.zone
+        if self.forecast.file is not None and self.climate != RECORDED:
+            raise ConfigurationError(
+                f"cannot be combined with another climate ({self.climate}), which archived "
+                "forecasts do not know", key="forecast", value=self.forecast.file,
+            )
         start = read_start(self.start, zone or weather.first.tzinfo)
         steps = count_ticks(site, self.hours, "hours")
         series = WeatherSeries(weather, site, start, steps)

@@ -231,7 +231,13 @@ def read_depths(path: Path) -> Depths:
         periods, each = sorted(stated.parameters), _EVERY_MINUTE[:, None]
         a, b, c = np.array([stated.parameters[period] for period in periods]).T
         note = f"{path.name}: intensity a / (minutes + b)^c"
-        return Depths(periods, _EVERY_MINUTE, a / (each + b) ** c * each / 60, note)
+        table = a / (each + b) ** c * each / 60
+        if not (np.diff(table, axis=0) > 0).all() or not (table > 0).all():
+            raise ConfigurationError(
+                "must be a, b and c of depths that grow with the duration", file=path,
+                key="parameters", value=stated.parameters,
+            )
+        return Depths(periods, _EVERY_MINUTE, table, note)
     if stated.record:
         files = find_files([str(path.parent / name) for name in stated.record], "record")
         wanted = stated.return_periods
@@ -257,7 +263,7 @@ def _read_table(file: Path, stated: DepthFile) -> Depths:
     lines, count = enumerate(read_lines(file), start=1), len(stated.return_periods)
     if stated.after and not any(stated.after in text for _, text in lines):
         raise ConfigurationError("must occur in a line", file=file, key="after", value=stated.after)
-    rows = [[1e-9] * (count + 1)]
+    rows, columns = [[1e-9] * (count + 1)], 0  # of the first row
     for number, text in lines:
         if not (match := _ROW.match(text.replace(stated.decimal, "."))):
             if len(rows) > 1 and not text.strip():
@@ -270,9 +276,11 @@ def _read_table(file: Path, stated: DepthFile) -> Depths:
                 value=text.strip(),
             )
         per_ours = find_unit(PRECIPITATION, stated.unit, minutes / 60, 1.0).per_ours
-        cells = _NUMBER.findall(match[3])[:count]
+        cells = _NUMBER.findall(match[3])
+        columns, cells = columns or len(cells), cells[:count] if len(cells) >= columns else []
         row = [minutes, *(minutes / 60 * float(cell) / per_ours for cell in cells)]
-        if not np.greater_equal(row, rows[-1][: len(row)]).all() or len(cells) < count:
+        grows = np.greater_equal(row, rows[-1][: len(row)]).all() and (np.diff(row[1:]) >= 0).all()
+        if len(cells) < count or not grows:
             expected = f"must have {count} values in {stated.unit}, and depths must not decrease"
             raise ConfigurationError(expected, file=file, line=number, value=text.strip())
         rows.append(row)

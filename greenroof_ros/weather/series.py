@@ -234,6 +234,8 @@ class WeatherSeries:
                 for quantity, hours in self.filled.items()
             ),
             *self.summary["notes"],
+            *([f"the column {OTHER_DEMAND} is not used, because the site has no other_demand"]
+              if OTHER_DEMAND in self._part.values and self._other_demand is None else []),
         ]
 
     @cached_property

@@ -106,6 +106,14 @@ def test_models_functions_and_classes_of_the_same_policy_have_one_score() -> Non
     )
 
 
+def test_no_episode_of_the_training_reaches_the_scenario() -> None:
+    """A longer one could; and what a scenario fixes, no reset changes."""
+    long = gymnasium.make(ID, scenario="dry-month", start="random", hours=9000)
+    refusal(lambda: long.reset(seed=31), match="hours = 9000.*from 0 to 744 h")
+    fixed = gymnasium.make(ID, scenario="dry-month")
+    refusal(lambda: fixed.reset(options={"initial": "low-low"}), match="fixed by the scenario")
+
+
 def test_seeds_have_a_mean_and_a_spread() -> None:
     """Which are those of the seeds' own scores; an environment draws one of them."""
     found = gr.score("lookahead", "dry-month", seeds=[1, 3])
@@ -122,6 +130,8 @@ def test_seeds_have_a_mean_and_a_spread() -> None:
         for draw in (None, 1, 3)
     }
     assert first[None] == first[1] != first[3]
+    for seeds in (0, 1.5, []):
+        refusal(lambda seeds=seeds: gr.score("onoff", "dry-month", seeds=seeds), match="seeds")
     models = gr.score(Plain(), "dry-month", seeds=2).values
     assert models[0] == gr.score(Plain(), "dry-month").value
     refusal(lambda: gr.score("onoff", "paper", seeds=2), match="forecast_seed = 1: is an option of")

@@ -71,7 +71,8 @@ def test_demand_of_a_column(tmp_path: Path) -> None:
 
     drawn = run(read_site(HOUSE, {"other_demand": 1.0}))
     assert drawn["other_m3"] == pytest.approx(sum(range(23)) / 1000)
-    assert "other_m3" not in run(read_site(HOUSE))
+    with pytest.warns(UserWarning, match="column other demand is not used"):
+        assert "other_m3" not in run(read_site(HOUSE))
 
 
 @settings(max_examples=15, deadline=None)

@@ -11,6 +11,7 @@ import pytest
 from places import CONFIG
 
 import greenroof_ros as gr
+from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.site.file import read_site
 from greenroof_ros.weather.climate import Climate
 from greenroof_ros.weather.read import read_weather
@@ -91,3 +92,8 @@ def test_a_study_of_climates() -> None:
     assert table["window"].to_list() == ["climate of the record", "rain times 1.5"]
     alone = gr.simulate("onoff", **given, rain_factor=1.5)
     assert table["rain_m3"][1] == alone.metrics["rain_m3"]
+
+
+def test_archived_forecasts_do_not_know_another_climate() -> None:
+    with pytest.raises(ConfigurationError, match="cannot be combined with another climate"):
+        gr.Environment(**{**gr.scenarios["season-forecasts"].inputs, "rain_factor": 1.2})

@@ -211,6 +211,9 @@ def list_assumed(site: Site) -> list[str]:
         "up in 20 days, at the evapotranspiration of the next two days, and makes room in dry "
         "weather.",
     ]
+    if site.monthly_other_demand is not None:
+        mean = sum(site.monthly_other_demand) / 12
+        notes.append(f"Other uses than the roof need a mean of {mean:.4g} L a day.")
     if site.low_outlet_level is None:
         notes.append("No valve is compared, because the site has no low outlet.")
     elif not site.low_outlet_valve:
