@@ -227,15 +227,16 @@ def storms(
         peak, volume = area * event["max_rain_5min_mm_h"] / 3600, area * fallen / 1000
         rows += [(NO_ROOF, period, fallen, peak, 0.0, volume, 0.0, volume), *flows]
     of = f" at {house_file.stem}" if isinstance(house_file, Path) else ""
-    if (factor := storm.get("rain_factor", 1.0)) != 1:
+    factor, position = storm.get("rain_factor", 1.0), storm.get("peak")
+    if factor != 1:
         of += f", rain times {factor:g}"
     return Storms(
         pl.DataFrame(rows, [*HEADINGS], orient="row"), f"Peaks and volumes of design storms{of}",
         duration, [
-            f"Each storm lasts {duration} min, in steps of {step} min. " + ", ".join(
-                f"{name}: {value}" for name, value in ({"kind": "euler"} | storm).items()
-                if value is not None
-            ) + ".",
+            f"Each storm ({storm.get('kind', 'euler')}) lasts {duration} min, "
+            f"in steps of {step} min"
+            + (f", with its peak at {100 * position:g} % of this time" if position else "")
+            + (f"; all rain is multiplied by {factor:g}." if factor != 1 else "."),
             f"The state {BEFORE_H} h before a storm: {state} roof, {100 * filled:g} % full "
             "cistern. Nothing evaporates, and plan has a perfect forecast.",
             f"{NO_ROOF.capitalize()}: all rain on the {house.a2:g} m² of the green roof, and "

@@ -33,7 +33,13 @@ from greenroof_ros.physics.compiled import can_compile, compiled, records
 from greenroof_ros.physics.parameters import Flows, State, plant_parameters
 from greenroof_ros.physics.storm_water import HOUR_S, is_wet, time_without_rain
 from greenroof_ros.results.metrics import Results, end_run, find_new_days
-from greenroof_ros.results.sums import MAINS, STRESSED, WET_DISCHARGE, is_stressed
+from greenroof_ros.results.sums import (
+    MAINS,
+    OTHER_MAINS,
+    STRESSED,
+    WET_DISCHARGE,
+    is_stressed,
+)
 from greenroof_ros.simulation import summary
 from greenroof_ros.simulation.inputs import find_needs, make_inputs
 from greenroof_ros.simulation.loop import Tick, make_trajectory
@@ -200,8 +206,9 @@ class Roofs:
         """Return :data:`COUNTED` since the last call, shape (n, 3)."""
         sums: Any = self.sites.sums
         if not isinstance(sums, np.ndarray):
-            sums = np.array([row[: MAINS + 1] for row in sums])
+            sums = np.array([row[: OTHER_MAINS + 1] for row in sums])
         totals = sums[:, _PLACES] * self._units
+        totals[:, 1] += sums[:, OTHER_MAINS]
         counted: Values = totals - self._counted
         self._counted = totals
         return counted

@@ -20,7 +20,6 @@ SHORT_SHARE = 0.01
 """maximum share of the roof's target that pumps at full flow can deliver in a short tick (1)"""
 # Eq. (4) with Euler's method takes no more than this (m) in a tick from a soil at its capacity.
 _MAX_OVERDRAWN_M = 1e-4
-_DAY_S = 86_400.0
 
 
 class PlantParameters(NamedTuple):
@@ -133,7 +132,7 @@ def plant_parameters(site: Site) -> PlantParameters:
             site.wilting_volume + site.stress_onset * site.available_volume
             if has_field_capacity else 0.0
         ),
-        "other_demand": sum(site.monthly_other_demand or ()) / 12 / 1000 / _DAY_S,
+        "other_demand": sum(site.other_flows or ()) / 12,
         "layer_rate": 1 / (site.layer_storage * (site.drainage_time or 0.0) or math.inf),
         "wet_after_s": site.wet_after * HOUR_S,
         "interval_ticks": interval,

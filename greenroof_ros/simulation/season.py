@@ -43,7 +43,6 @@ from greenroof_ros.simulation.run import Run
 from greenroof_ros.site.horizon import look_ahead_ends
 from greenroof_ros.site.site import Site
 from greenroof_ros.weather.evapotranspiration import COMPUTED
-from greenroof_ros.weather.series import constant_demand
 
 Values = NDArray[np.float64]
 
@@ -389,7 +388,7 @@ class Season:
         controls = [Control(
             case.parameters["fraction"], case.parameters["level"] * case.site.z_veg,
             plant.suction_level, POLICIES.index(case.parameters.get("outlet", OPEN)), bed,
-            1.0 if self._demand_varies else constant_demand(case.site),
+            1.0 if self._demand_varies else (case.site.other_flows or (0.0,))[0],
         ) for case, plant, bed in zip(cases, plants, beds, strict=True)]
         groups = np.array([case.group for case in cases])
         events = s.count_events(plants[0], run.steps) if total == 1 else 0

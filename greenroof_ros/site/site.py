@@ -99,6 +99,12 @@ class Cistern:
         return self.a_in * self.runoff_coefficient
 
     @cached_property
+    def other_flows(self) -> tuple[float, ...] | None:
+        """Water that other uses than the roof need in each month (m3/s); None for none."""
+        months = self.monthly_other_demand
+        return None if months is None else tuple(each / 24 / 1000 / 3600 for each in months)
+
+    @cached_property
     def min_outlet_level(self) -> float:
         """Cistern level above which water flows to the sewer (m)."""
         return self.z_o if self.low_outlet_level is None else self.low_outlet_level

@@ -249,15 +249,16 @@ class WeatherSeries:
         The values are from the column of the weather or, without one, those of the site for the
         months, which begin at midnight of standard time.
         """
-        if site.monthly_other_demand is None:
+        if site.other_flows is None:
             return None
-        litres = self._part.values.get(OTHER_DEMAND)
-        if litres is None:
+        if OTHER_DEMAND in self._part.values:
+            flows = self._part.values[OTHER_DEMAND] / 1000 / 3600
+        else:
             first = self._part.first.timestamp() + 3600 * site.clock_offset
             seconds = int(first) + 3600 * np.arange(self._part.hours)
             months = seconds.astype("datetime64[s]").astype("datetime64[M]").astype(np.intp) % 12
-            litres = np.array(site.monthly_other_demand)[months] / 24
-        return replace(self.frost, values=litres / 1000 / 3600)
+            flows = np.array(site.other_flows)[months]
+        return replace(self.frost, values=flows)
 
     def demand_varies(self, site: Site) -> bool:
         """Return whether other uses than the roof of a site do not need the same all year."""
@@ -275,11 +276,6 @@ class WeatherSeries:
             0.0 if self._other_demand is None else self._other_demand[tick],
             int(until) if tick < until else len(self.precipitation),
         )
-
-
-def constant_demand(site: Site) -> float:
-    """Return what other uses than the roof need (m3/s) if they need the same all year."""
-    return (site.monthly_other_demand or (0.0,))[0] / 24 / 1000 / 3600
 
 
 def rain_per_tick(weather: Weather, offset_ns: int, tick_ns: int, ticks: range) -> PerTick:

@@ -7,6 +7,7 @@ import os
 import subprocess
 import sys
 import warnings
+from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -104,6 +105,24 @@ def test_models_functions_and_classes_of_the_same_policy_have_one_score() -> Non
         lambda: gr.score(Policy(), "dry-month", horizon=6),
         match=r"the model: takes observations of shape .* give the horizon of its training",
     )
+
+
+def test_rewards_count_the_mains_water_of_other_uses() -> None:
+    """A cistern without a mains top-up, which other uses empty, and all that they need then."""
+    site = gr.read_site("site_valve.yaml", other_demand=50_000.0, tau=300.0)
+    site = replace(site, mains_level=None, mains_flow=None)
+    roof = gymnasium.make(ID, site=site, hours=48).unwrapped
+    _, info = roof.reset()
+    cost, ended = info["initial_score"], False
+    while not ended:
+        _, reward, _, ended, info = roof.step([0.0, 0.0])
+        cost -= reward
+    metrics = info["metrics"]
+    assert metrics["mains_m3"] > 1
+    expected = (
+        metrics["wet_discharge_m3"] + 0.3 * metrics["mains_m3"] + 0.01 * metrics["stress_hours"]
+    )
+    assert cost == pytest.approx(expected, rel=0, abs=1e-9)
 
 
 def test_no_episode_of_the_training_reaches_the_scenario() -> None:
