@@ -26,11 +26,11 @@ EXECUTABLES = [f"{name} = {NAME}.{module}:main" for name, module in NODES.items(
 
 
 def version() -> str:
-    """Read the version from the package without importing it, which would need numpy."""
-    text = (Path(NAME) / "__init__.py").read_text(encoding="utf-8")
+    """Read the version from the package without importing it, which would need its requirements."""
+    text = (Path(NAME) / "base" / "versions.py").read_text(encoding="utf-8")
     match = re.search(r'^__version__ = "([^"]+)"$', text, re.MULTILINE)
     if match is None:
-        raise RuntimeError(f"{NAME}/__init__.py has no line of the form __version__ = \"...\"")
+        raise RuntimeError(f"{NAME}/base/versions.py has no line of the form __version__ = \"...\"")
     return match[1]
 
 

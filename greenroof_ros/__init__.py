@@ -1,6 +1,6 @@
 """Watering of a green roof from a rainwater cistern, simulated without ROS or as a ROS 2 graph.
 
-The names in ``__all__`` are loaded on first use, so that ``import greenroof_ros`` is fast.
+The names in ``__all__``, and the version, are loaded on first use, so that the import is fast.
 """
 
 from __future__ import annotations
@@ -20,9 +20,8 @@ if TYPE_CHECKING:
     from greenroof_ros.api.simulate import Result, compare, read_bag, read_site, simulate
     from greenroof_ros.base.errors import ConfigurationError
     from greenroof_ros.base.parameter import Parameter
+    from greenroof_ros.base.versions import __version__ as __version__
     from greenroof_ros.controllers.decide import ControllerError
-
-__version__ = "1.0.0"
 
 __all__ = [
     "ConfigurationError", "ControllerError", "Environment", "Parameter", "Result", "calibrate",
@@ -39,14 +38,14 @@ _MODULES = {
     "read_bag": "api.simulate", "read_site": "api.simulate",
     "scenarios": "api.scenarios", "score": "api.scenarios", "simulate": "api.simulate",
     "size": "analysis.sizing.run", "storms": "analysis.storms", "study": "analysis.study",
-    "verify": "analysis.verification",
+    "verify": "analysis.verification", "__version__": "base.versions",
 }
 
 
 if not TYPE_CHECKING:  # or every name would be right
 
     def __getattr__(name: str) -> Any:
-        """Load an object whose name is in ``__all__``."""
+        """Load an object whose name is in ``_MODULES``."""
         import importlib
 
         if name in _MODULES:
@@ -57,4 +56,4 @@ if not TYPE_CHECKING:  # or every name would be right
 
 def __dir__() -> list[str]:
     """Return the names of all attributes, including the names that are loaded on first use."""
-    return sorted({*globals(), *__all__})
+    return sorted({*globals(), *_MODULES})

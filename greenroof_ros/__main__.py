@@ -12,9 +12,9 @@ import importlib
 from dataclasses import dataclass
 from typing import Any
 
-from greenroof_ros import __version__
 from greenroof_ros.base.command_line import EXIT_DONE, Parser, command
 from greenroof_ros.base.errors import suggest_names
+from greenroof_ros.base.versions import __version__
 
 
 @dataclass(frozen=True)

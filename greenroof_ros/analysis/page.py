@@ -11,7 +11,7 @@ import jinja2
 from greenroof_ros.analysis.figures import Figure
 from greenroof_ros.analysis.tables import Table
 from greenroof_ros.base.files import add_path_to_errors, claim_directory
-from greenroof_ros.results.versions import format_versions, versions
+from greenroof_ros.base.versions import format_versions, versions
 
 FIGURES = "figures"
 """folder of the figures in the folder of an output"""

@@ -13,10 +13,10 @@ from greenroof_ros.analysis.case import Case, Outcome, name_cases
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.files import add_path_to_errors, replace_text
 from greenroof_ros.base.processes import LockedError, lock_file
+from greenroof_ros.base.versions import versions
 from greenroof_ros.forecast.choice import REAL, read_skill
 from greenroof_ros.results.table import format_csv, parameter_columns
 from greenroof_ros.results.trajectory import TRAJECTORY
-from greenroof_ros.results.versions import versions
 from greenroof_ros.site.file import format_site
 
 _OUTCOME, _LOCK = "outcome.json", ".lock"

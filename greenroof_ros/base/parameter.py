@@ -24,6 +24,9 @@ from greenroof_ros.base.ranges import Range
 
 Record = TypeVar("Record")
 
+OF_EVERY_NODE = {"use_sim_time", "start_type_description_service", "qos_overrides"}
+"""parameters that rclpy declares in every node"""
+
 
 @dataclass(frozen=True)
 class Parameter:

@@ -14,8 +14,7 @@ from greenroof_ros.base.console import ProgressBar
 from greenroof_ros.base.processes import InterruptedRun, Signals, Watchdog
 from greenroof_ros.base.standard_error import LINES, print_line
 from greenroof_ros.base.times import hours_minutes_seconds
-from greenroof_ros.controllers.registry import EXTERNAL
-from greenroof_ros.interface.states import PLANT, RECORDER
+from greenroof_ros.interface.states import EXTERNAL, PLANT, RECORDER
 from greenroof_ros.nodes.alarms import AlarmsNode
 from greenroof_ros.nodes.controller import SimulatedController
 from greenroof_ros.nodes.plant import PlantNode

@@ -14,13 +14,12 @@ from typing import Any
 
 import numpy as np
 
-import greenroof_ros
 from greenroof_ros.base.errors import ConfigurationError, HangError, describe_value
 from greenroof_ros.base.ranges import Range
 from greenroof_ros.controllers.protocol import Controller
 
 # Places that are not a user's code: this package, and what Python uses to import.
-_NO_USERS = str(Path(greenroof_ros.__file__).parent), importlib.__file__, "<frozen importlib"
+_NO_USERS = str(Path(__file__).parent.parent), importlib.__file__, "<frozen importlib"
 COMMANDS = Range(0.0, sys.float_info.max, "1")
 """the commands to the pumps"""
 # Number of ticks that the percentile of the wall times covers.

@@ -15,11 +15,12 @@ from typing import Any, ClassVar
 import numpy as np
 
 from greenroof_ros.base.errors import ConfigurationError, describe_choices, suggest_names
-from greenroof_ros.base.parameter import Parameter, read_sections
+from greenroof_ros.base.parameter import OF_EVERY_NODE, Parameter, read_sections
 from greenroof_ros.controllers import outlet
 from greenroof_ros.controllers.decide import OwnCode, find_frame
 from greenroof_ros.controllers.outlet import OutletPolicy, requested_share
 from greenroof_ros.controllers.protocol import Controller, adapt, set_optional
+from greenroof_ros.interface.states import EXTERNAL
 from greenroof_ros.interface.topics import node_names
 from greenroof_ros.site.horizon import MAX_HORIZON, look_ahead_ends
 from greenroof_ros.site.site import Site
@@ -35,11 +36,7 @@ BUILT_IN = {
 DEFAULT = "onoff"
 FOR_A_SITE = "lookahead"
 """the default of a live site, for which the paper's controller is not suitable"""
-EXTERNAL = "external"
-"""stands for a controller node that the user runs; its parameters are those of the forecasts"""
 _PATHS = {**BUILT_IN, EXTERNAL: f"{_HERE}.registry:External"}
-# Parameters that rclpy declares in every node.
-OF_EVERY_NODE = {"use_sim_time", "start_type_description_service", "qos_overrides"}
 # Every controller's node has these parameters.
 _OF_EVERY_NODE = {
     "site_file", "state_file", "time_without_rain", "use_sim_time", "level_limit",

@@ -43,13 +43,8 @@ from greenroof_ros.forecast.choice import (
     read_skill,
 )
 from greenroof_ros.forecast.issue import ISSUE_HOURS, SERVICE_DELAY_H, IssuedForecast, read_archive
-from greenroof_ros.site.site import Site
-from greenroof_ros.weather.quantities import (
-    EVAPOTRANSPIRATION,
-    MUCH_RAIN,
-    PRECIPITATION,
-    QUANTITIES,
-)
+from greenroof_ros.site.site import MUCH_RAIN, Site
+from greenroof_ros.weather.quantities import EVAPOTRANSPIRATION, PRECIPITATION, QUANTITIES
 from greenroof_ros.weather.records import HOUR, Array
 from greenroof_ros.weather.series import Weather, select_records
 

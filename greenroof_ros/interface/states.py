@@ -13,6 +13,9 @@ STARTING, READY, FINISHED, ENDED = STATES = ("starting", "ready", "finished", "e
 # Roles in the interface that the code treats specially.
 PLANT, PUMP, RECORDER, VALVE = "plant", "pump", "recorder", "valve"
 
+EXTERNAL = "external"
+"""stands for a node that the user runs; a controller's parameters are then those of forecasts"""
+
 
 class DriveState(enum.Enum):
     """States of the pump node, that is, of its ability to run the drive."""

@@ -9,9 +9,10 @@ import argparse
 import os
 import socket
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from functools import partial
+from importlib import import_module
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -26,15 +27,16 @@ from greenroof_ros.base.command_line import (
 )
 from greenroof_ros.base.disk import DISK
 from greenroof_ros.base.files import COPIES, add_path_to_errors, replace_text
-from greenroof_ros.base.parameter import replace_infinity
+from greenroof_ros.base.parameter import Parameter, replace_infinity
 from greenroof_ros.base.processes import IN_MEMORY, InterruptedRun, Signals, scratch_directory
 from greenroof_ros.base.standard_error import print_line
 from greenroof_ros.base.times import iso
+from greenroof_ros.base.versions import versions
 from greenroof_ros.controllers.outlet import OPEN
-from greenroof_ros.controllers.registry import EXTERNAL, FOR_A_SITE
+from greenroof_ros.controllers.registry import FOR_A_SITE, ControllerChoice
 from greenroof_ros.forecast.service import OPEN_METEO
 from greenroof_ros.interface.alarm import Alarm, read_alarms, to_record
-from greenroof_ros.interface.states import PUMP, RECORDER, VALVE
+from greenroof_ros.interface.states import EXTERNAL, PUMP, RECORDER, VALVE
 from greenroof_ros.live.devices.drive import DriveEndpoint
 from greenroof_ros.live.devices.drive_file import find_drive_file
 from greenroof_ros.live.devices.exchange import (
@@ -55,7 +57,6 @@ from greenroof_ros.live.supervisor import (
     StopDrive,
 )
 from greenroof_ros.live.upkeep import silence_limit
-from greenroof_ros.results.versions import versions
 from greenroof_ros.ros.alarms import ROLE
 from greenroof_ros.ros.domain import add_graph_arguments, lock_bringup, prepare_ros, ros_arguments
 from greenroof_ros.simulation import summary
@@ -298,6 +299,23 @@ def add_drive(parser: Parser) -> None:
         group.add_argument(option, default="", metavar=metavar, help=parameter.meaning)
 
 
+def describe_nodes(
+    modules: Mapping[str, str], controller: ControllerChoice, site_file: Path
+) -> dict[str, Iterable[Parameter]]:
+    """Return the parameters of every node that bringup runs, by the node's name.
+
+    Args:
+        modules: module of every node, by the node's name.
+        controller: the site's controller.
+        site_file: file of the site.
+    """
+    return {
+        name: import_module(module).parameters(
+            controller if module.endswith(".controller") else read_site(site_file)
+        ) for name, module in modules.items()
+    }
+
+
 # Interval at which systemd is notified (s); and how long to wait at the end until the logs and the
 # summary are written (s).
 _NOTIFY_S, _WRITTEN_S = 1.0, 5.0
@@ -323,10 +341,9 @@ def run_live(site: LiveSite, arguments: argparse.Namespace, signals: Signals) ->
     from greenroof_ros.live.actuator import COMMAND_LIMIT
     from greenroof_ros.ros.parameters import find_value, node_parameter_files
 
-    user_files = node_parameter_files(
-        arguments, {name: module for name, (module, _) in nodes.items()}, site.controller,
-        site.parameters,
-    )
+    modules = {name: module for name, (module, _) in nodes.items()}
+    described = partial(describe_nodes, modules, site.controller, arguments.site)
+    user_files = node_parameter_files(arguments, described, site.parameters)
     pump = site.processes[0].name
     limit = find_value(user_files, f"{namespace}/{pump}", COMMAND_LIMIT)
     check_command_limit(limit, site.tau, f"parameter {COMMAND_LIMIT.name} of {pump}")

@@ -20,8 +20,7 @@ from greenroof_ros.interface.topics import read_topics
 from greenroof_ros.physics.pump import maximum_pump_flow
 from greenroof_ros.results.bag_write import METADATA
 from greenroof_ros.results.trajectory import COLUMNS, Trajectory, recorded_columns
-from greenroof_ros.site.site import Site
-from greenroof_ros.weather.quantities import EVAPOTRANSPIRATION, PRECIPITATION, QUANTITIES
+from greenroof_ros.site.site import MAX_EVAPOTRANSPIRATION, MAX_RAIN, Site
 
 Stamps = NDArray[np.int64]
 Values = NDArray[np.float64]
@@ -224,15 +223,14 @@ def _compute_maxima(site: Site) -> dict[str, float]:
     They are twice the depth of the soil, three times the overflow level and the maximum flow of the
     pumps, and the most rain and evapotranspiration that a weather file may contain.
     """
-    rain, evaporation = (QUANTITIES[name].high for name in (PRECIPITATION, EVAPOTRANSPIRATION))
     return {
         "/roof/level": site.max_roof_level,
         "/cistern/level": site.max_cistern_level,
         "/pump/flow": 3 * maximum_pump_flow(site, site.a1 * site.z_o),
-        "/weather/precipitation": rain / 3.6e6,
+        "/weather/precipitation": MAX_RAIN / 3.6e6,
         # The crop coefficient scales the evapotranspiration of grass.
         "/weather/evapotranspiration":
-            evaporation * max(1.0, site.crop_coefficient) / 8.64e7 * site.a2,
+            MAX_EVAPOTRANSPIRATION * max(1.0, site.crop_coefficient) / 8.64e7 * site.a2,
     }
 
 

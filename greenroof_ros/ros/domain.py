@@ -29,7 +29,7 @@ from greenroof_ros.base.errors import (
 from greenroof_ros.base.files import shared_directory
 from greenroof_ros.base.processes import LockedError, acquire_name_lock
 from greenroof_ros.base.ranges import Range
-from greenroof_ros.controllers.registry import EXTERNAL
+from greenroof_ros.interface.states import EXTERNAL
 
 _DOMAIN, _DISCOVERY = "ROS_DOMAIN_ID", "ROS_AUTOMATIC_DISCOVERY_RANGE"
 _RANGES = ("LOCALHOST", "SUBNET", "SYSTEM_DEFAULT", "OFF")

@@ -8,8 +8,7 @@ and before any node starts, in the user's parameter file for bringup.
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterable, Mapping, Sequence
-from importlib import import_module
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -20,9 +19,7 @@ from rclpy.node import Node
 from greenroof_ros.base.command_line import refuse
 from greenroof_ros.base.errors import ConfigurationError, suggest_names
 from greenroof_ros.base.files import default_site_file
-from greenroof_ros.base.parameter import Parameter, read_sections
-from greenroof_ros.controllers.registry import OF_EVERY_NODE, ControllerChoice
-from greenroof_ros.site.file import read_site
+from greenroof_ros.base.parameter import OF_EVERY_NODE, Parameter, read_sections
 from greenroof_ros.site.horizon import MAX_HORIZON
 
 _LONG = 2**62  # beyond any number that a node uses
@@ -147,7 +144,7 @@ _SET_BY_BRINGUP = {
 
 
 def node_parameter_files(
-    arguments: argparse.Namespace, modules: Mapping[str, str], controller: ControllerChoice,
+    arguments: argparse.Namespace, described: Callable[[], Mapping[str, Iterable[Parameter]]],
     given: Mapping[str, float],
 ) -> list[Path]:
     """Return a list with the file given by ``--node-parameters``; empty if none is given.
@@ -156,8 +153,8 @@ def node_parameter_files(
 
     Args:
         arguments: the parsed command line.
-        modules: module of every node that bringup runs, by the node's name.
-        controller: the graph's controller.
+        described: function that returns the parameters of every node that bringup runs, by the
+            node's name; it is called only if there is a file.
         given: values of the controller's parameters, by name.
 
     Raises:
@@ -170,8 +167,8 @@ def node_parameter_files(
         return []
     refuse((not file.is_file(), "--node-parameters", str(file), "must be an existing file"))
     nodes = {
-        f"{arguments.namespace}/{name}": _parameters_of(module, controller, arguments.site)
-        for name, module in modules.items()
+        f"{arguments.namespace}/{name}": {parameter.name: parameter for parameter in parameters}
+        for name, parameters in described().items()
     }
     for section in read_sections(file):
         known = [parameters for node, parameters in nodes.items() if section.applies_to(node)]
@@ -211,11 +208,6 @@ def find_value(files: Iterable[Path], node: str, parameter: Parameter) -> Any:
         if section.applies_to(node):
             value = section.values.get(parameter.name, value)
     return value
-
-
-def _parameters_of(module: str, controller: ControllerChoice, site: Path) -> dict[str, Parameter]:
-    of = controller if module.endswith(".controller") else read_site(site)
-    return {parameter.name: parameter for parameter in import_module(module).parameters(of)}
 
 
 def check_value(parameter: Parameter, value: Any) -> Any:

@@ -10,9 +10,9 @@ from typing import Any
 
 from greenroof_ros.base.files import replace_text
 from greenroof_ros.base.parameter import replace_infinity
+from greenroof_ros.base.versions import versions
 from greenroof_ros.physics.storm_water import Event
 from greenroof_ros.results.table import EVENTS, event_rows, format_events
-from greenroof_ros.results.versions import versions
 from greenroof_ros.simulation.run import Run
 
 # The file's name in the directory of a run.

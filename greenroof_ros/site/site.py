@@ -25,6 +25,10 @@ MUCH_RAIN = 500.0
 """rain (mm/h) that the overflow of a cistern must carry, and above which a note is printed: the
 record of an hour is 401 mm (Shangdu, China, 1975)
 """
+MAX_RAIN, MAX_EVAPOTRANSPIRATION = 2000.0, 50.0
+"""rain (mm/h) and evapotranspiration (mm/day) above which a value is an error: the record of rain
+is 31.2 mm in a minute (Unionville, USA, 1956; WMO)
+"""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -6,7 +6,7 @@ import re
 from fractions import Fraction
 from typing import NamedTuple
 
-from greenroof_ros.site.site import MUCH_RAIN as MUCH_RAIN
+from greenroof_ros.site.site import MAX_EVAPOTRANSPIRATION, MAX_RAIN
 
 PRECIPITATION = "precipitation"
 EVAPOTRANSPIRATION = "evapotranspiration"
@@ -48,11 +48,9 @@ class Quantity(NamedTuple):
     """keys of the table of units"""
 
 
-# More than 2,000 mm/h has never been measured: the record is 31.2 mm in a minute (Unionville, USA,
-# 1956; WMO).
 WEATHER = {
-    PRECIPITATION: Quantity("mm/h", 0.0, 2000.0, ("depth",)),
-    EVAPOTRANSPIRATION: Quantity("mm/day", -2.5, 50.0, ("depth",)),
+    PRECIPITATION: Quantity("mm/h", 0.0, MAX_RAIN, ("depth",)),
+    EVAPOTRANSPIRATION: Quantity("mm/day", -2.5, MAX_EVAPOTRANSPIRATION, ("depth",)),
     TEMPERATURE: Quantity("degC", -90.0, 60.0, ("temperature",)),
     DEW_POINT: Quantity("degC", -90.0, 60.0, ("temperature",)),
     WIND: Quantity("km/h", 0.0, 500.0, ("speed",)),

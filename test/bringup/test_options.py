@@ -19,7 +19,7 @@ from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.controllers.registry import find_controller
 from greenroof_ros.live.devices.drive_file import find_drive_file
 from greenroof_ros.live.devices.exchange import read_endpoint
-from greenroof_ros.live.live_site import LiveSite, make_stopper
+from greenroof_ros.live.live_site import LiveSite, describe_nodes, make_stopper
 from greenroof_ros.live.live_site import make_parser as live_site_parser
 from greenroof_ros.ros.domain import lock_bringup, prepare_ros
 from greenroof_ros.ros.parameters import node_parameter_files
@@ -99,10 +99,9 @@ def test_a_parameter_that_would_have_no_effect(
     pytest.importorskip("rclpy")
     file = tmp_path / "nodes.yaml"
     options = ["--namespace", "site1", "--node-parameters", str(file)]
-    read = (
-        node_parameter_files, live_site_parser().parse_args(options), MODULES,
-        find_controller("onoff"), {"fraction": 0.9},
-    )
+    arguments = live_site_parser().parse_args(options)
+    described = partial(describe_nodes, MODULES, find_controller("onoff"), arguments.site)
+    read = node_parameter_files, arguments, described, {"fraction": 0.9}
     refusal(*read, match="must be an existing file")
     file.write_text("/**:\n  ros__parameters: {recovery_time: 1}\n")
     assert node_parameter_files(*read[1:]) == [file]

@@ -17,7 +17,7 @@ from commands import run_command
 from graphs import environment
 
 import greenroof_ros as gr
-from greenroof_ros.results.versions import format_versions, versions
+from greenroof_ros.base.versions import format_versions, versions
 from greenroof_ros.simulation import summary
 from greenroof_ros.simulation.directory import make_run_directory
 

@@ -15,14 +15,13 @@ from greenroof_ros.physics.cistern import low_outlet_flow, overflow
 from greenroof_ros.physics.parameters import plant_parameters
 from greenroof_ros.physics.pump import maximum_pump_flow
 from greenroof_ros.physics.soil import percolation, retained_share
-from greenroof_ros.site.site import Site
-from greenroof_ros.weather.quantities import EVAPOTRANSPIRATION, MUCH_RAIN, QUANTITIES
+from greenroof_ros.site.site import MAX_EVAPOTRANSPIRATION, MUCH_RAIN, Site
 
 # Real water levels may change faster than the site file implies, by up to this factor.
 _MARGIN = 1.5
 # Above the world records of hourly rain and of daily evapotranspiration (m/s).
 _MAX_RAIN = MUCH_RAIN / 1000 / 3600
-_MAX_EVAPOTRANSPIRATION = QUANTITIES[EVAPOTRANSPIRATION].high / 1000 / 86400
+_MAX_LOSS = MAX_EVAPOTRANSPIRATION / 1000 / 86400
 # Movements that a pump need not exceed: the maximum evapotranspiration of an hour from the roof,
 # and drift of a sensor and unmeasured inflow in the cistern (m/s).
 _LOSS, _DRIFT = 1e-3 / 3600, 5e-3 / 86400
@@ -68,7 +67,7 @@ def roof_bounds(site: Site) -> LevelBounds:
 
     def fall(level: float) -> float:
         drainage = percolation(p, site.roof_volume(level), 0.0, p.tau) / site.a2
-        return _MARGIN * (_MAX_EVAPOTRANSPIRATION + drainage)
+        return _MARGIN * (_MAX_LOSS + drainage)
 
     return LevelBounds(_MARGIN * (_MAX_RAIN + pump), fall, site.max_roof_level)
 

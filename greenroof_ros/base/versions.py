@@ -1,15 +1,13 @@
-"""The versions of the software that determines the results of a run."""
+"""The version of this package, and of the other software that determines the results of a run."""
 
 from __future__ import annotations
 
 import functools
 import hashlib
-import platform
 from collections.abc import Mapping
-from importlib import metadata
 from pathlib import Path
 
-from greenroof_ros import __version__
+__version__ = "1.0.0"
 
 
 @functools.cache
@@ -19,6 +17,9 @@ def versions() -> Mapping[str, str]:
     ``source`` is twelve digits of a hash of this package's source files rather than a commit,
     because an installed package does not know its commit, and edited files do not belong to any.
     """
+    import platform  # these take long, and the help of commands needs neither
+    from importlib import metadata
+
     digest, root = hashlib.sha256(), Path(__file__).resolve().parent.parent
     for file in sorted(root.rglob("*.py")):
         digest.update(file.relative_to(root).as_posix().encode() + file.read_bytes())
