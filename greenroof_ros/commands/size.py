@@ -99,7 +99,7 @@ def main() -> None:
     output: Path = given.pop("output")
     with require_extra("study"):
         from greenroof_ros.analysis.page import claim_output
-        from greenroof_ros.analysis.sizing.page import tabulate_volumes
+        from greenroof_ros.analysis.sizing.sizes import tabulate_volumes
     claim_output(output, PAGE, [TABLE])
     names = {name: option_of(name) for name in given}
     with ProgressBar(signals=Signals()) as bar, rename_keys(names):

@@ -22,7 +22,7 @@ from greenroof_ros.analysis.sizing.designs import (
     find_knee,
     find_target,
 )
-from greenroof_ros.analysis.sizing.sizes import Sizes
+from greenroof_ros.base.errors import require_extra
 from greenroof_ros.base.ranges import Range
 from greenroof_ros.controllers.registry import find_controller
 from greenroof_ros.results.metrics import METRICS
@@ -35,6 +35,8 @@ from greenroof_ros.weather.summary import as_lines, summarize
 
 if TYPE_CHECKING:
     import polars
+
+    from greenroof_ros.analysis.sizing.sizes import Sizes
 
 KNEE_RANGE = Range(0.0, 1e6, "m3")
 # Share of the cistern that is full when a season begins.
@@ -79,8 +81,8 @@ def size(
         ``.save(directory)``, which writes the page.
 
     Raises:
-        ConfigurationError: if an input is invalid; the message names the input and states what
-            would be right.
+        ConfigurationError: if an input is invalid, or a package is not installed; the message
+            names it and states what would be right.
 
     Example:
         >>> import greenroof_ros as gr
@@ -91,6 +93,8 @@ def size(
         >>> sizes.recommended.target_mm
         36.0
     """
+    with require_extra("study"):
+        from greenroof_ros.analysis.sizing.sizes import Sizes
     own_volumes = None if volumes is None else plans.read_numbers(volumes, "volumes", plans.VOLUMES)
     own_targets = None if targets is None else plans.read_numbers(targets, "targets", plans.TARGETS)
     knee = KNEE_RANGE.read(knee, key="knee")

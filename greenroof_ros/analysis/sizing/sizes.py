@@ -1,4 +1,4 @@
-"""The results of a sizing: a recommendation, tables, a chart and a page."""
+"""The results of a sizing: a recommendation, tables, figures, and a page for a client."""
 
 from __future__ import annotations
 
@@ -6,17 +6,38 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
+import altair as alt
+import polars
+
+from greenroof_ros.analysis.figures import Figure, Panel, distinguish_series, draw_band
+from greenroof_ros.analysis.page import Section, claim_output, make_page, write_output
+from greenroof_ros.analysis.references import PEAKS
 from greenroof_ros.analysis.seasons import find_ranges
-from greenroof_ros.analysis.sizing.designs import BY_DESIGN, KEPT, NONE, PAGE, SHOWN, TABLE, Design
-from greenroof_ros.analysis.tables import write_range
-from greenroof_ros.base.errors import require_extra
+from greenroof_ros.analysis.sizing.designs import (
+    BY_DESIGN,
+    BY_TEST,
+    KEPT,
+    LOST,
+    MAIN,
+    MAX_LOST,
+    NONE,
+    PAGE,
+    SHOWN,
+    TABLE,
+    Design,
+)
+from greenroof_ros.analysis.tables import Table, tabulate_peaks, write_range
 from greenroof_ros.site.site import Site
 
-if TYPE_CHECKING:
-    import altair
-    import polars
+_TITLE = "Which cistern for the green roof?"
+_RESTS_ON = ("mains_m3", "wet_discharge_m3", KEPT, "discharge_m3", LOST)
+_OF_TARGETS = (*MAIN, LOST, "stress_hours")
+_COMPARED = ("wet_discharge_m3", "discharge_m3", "retention_share", "overflow_days")
+# The peaks that are shown (min).
+_PEAK_MIN = 5
+_HEADINGS = {"volume_m3": "cistern (m³)", "target_mm": "target (mm)"}
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -99,19 +120,13 @@ class Sizes:
         )
         return f" Without the valve, {mains} m³ would be mains water, and {wet} m³ wet discharge."
 
-    def plot(self) -> altair.ConcatChart:
+    def plot(self) -> alt.ConcatChart:
         """Return a chart of the results against the cistern's volume, with a line per outlet.
 
         A line shows the mean of the seasons, and its band extends from the lowest to the highest
         season.
-
-        Raises:
-            ConfigurationError: if altair is not installed.
         """
-        with require_extra("study"):
-            from greenroof_ros.analysis.sizing.page import draw_volumes
-        chart: altair.ConcatChart = draw_volumes(self).chart()
-        return chart
+        return _draw_volumes(self).chart()
 
     def save(self, directory: str | os.PathLike[str]) -> Path:
         """Write the page ``sizes.html``, the table ``sizes.csv``, and the figures; return the page.
@@ -121,12 +136,180 @@ class Sizes:
                 earlier result, which is replaced.
 
         Raises:
-            ConfigurationError: if the packages that a page needs are not installed, or if the
-                directory contains anything else.
+            ConfigurationError: if the directory contains anything else.
             OSError: if the directory cannot be written to.
         """
-        with require_extra("study"):
-            from greenroof_ros.analysis.page import claim_output
-            from greenroof_ros.analysis.sizing.page import write_page
         claim_output(Path(directory), PAGE, [TABLE])
-        return write_page(self, Path(directory))
+        figures = [_draw_volumes(self), _draw_targets(self)]
+        title = f"{_TITLE} {self.name}".strip()
+        html = make_page(title, self.sentence, list_sections(self, figures))
+        remarks = "".join(f"# {note}\n" for note in (*self.notes, *self.read))
+        table = remarks + self.table_of_seasons.write_csv()
+        return write_output(Path(directory), PAGE, html, figures, {TABLE: table})
+
+
+def list_sections(sizes: Sizes, figures: Sequence[Figure]) -> list[Section]:
+    """Return the sections of the page; the figures show the cisterns, and then the targets."""
+    own, site = sizes.recommended, sizes.site
+    used = sizes.table_of_seasons.filter(**own._asdict())
+    rain, on_roof, lost = used.select("rain_m3", "rain_roof_m3", LOST).mean().row(0)
+    losing = f"at most {100 * MAX_LOST:g} %" if lost <= MAX_LOST else "the smallest part"
+    first, *others = tabulate_volumes(sizes)
+    return [
+        Section("The recommendation", [
+            f"The green roof covers {site.a2:g} m². Another {site.a_in:g} m² of roofs drain to the "
+            f"cistern, which receives {100 * site.runoff_coefficient:g} % of the rain on them. In "
+            f"a season, {1000 * on_roof / site.a2:.0f} mm of rain falls, {rain:.3g} m³ on all of "
+            f"these roofs. Numbers are means of the seasons ({sizes.window}, "
+            f"{', '.join(sizes.seasons)}), with the lowest and the highest season in brackets; "
+            "percentages are means of the seasons' percentages.",
+            f"Beyond a cistern of {own.volume_m3:g} m³ ({1000 * own.volume_m3 / site.a2:.0f} L per "
+            f"m² of green roof), another m³ saves less than {sizes.knee_m3:g} m³ of mains water "
+            f"and wet-weather discharge a season. Of the targets compared, {own.target_mm:g} mm is "
+            f"the lowest at which plants lose {losing} of their evapotranspiration for lack of "
+            "water. A higher target takes more water; add what the level sensor may be wrong by.",
+            f"Wet weather is the time of rain and the {site.wet_after:g} h after it. Water that "
+            "the valve releases in dry weather reaches the same sewer: it counts in the discharge "
+            "and in the retention, but not in the discharge in wet weather.",
+            first,
+        ]),
+        Section("Compared with no green roof", [
+            _tabulate_references(sizes), _tabulate_peaks(sizes),
+            "The return period of the m-th largest peak of n seasons is (n + 1) / m years "
+            "(Weibull's plotting position).",
+        ]),
+        Section("Pictures", figures),
+        Section("What it rests on", [
+            _tabulate_assumptions(sizes),
+            sizes.notes,
+        ]),
+        Section("Other targets and outlets", [
+            _tabulate(sizes, f"Targets, cistern {sizes.table['volume_m3'][0]:g} m³, "
+                      f"{own.described_outlet}", "target_mm", _select_targets(sizes), _OF_TARGETS),
+            *others,
+        ], folded=True),
+        Section("What was read", [sizes.read]),
+        Section("How it was made", [
+            "Every design was simulated in every season. First, targets were compared with one "
+            f"cistern, and then cisterns with the best target. {TABLE} contains every design and "
+            "season.",
+        ]),
+    ]
+
+
+def _select_targets(sizes: Sizes) -> polars.DataFrame:
+    """Return the means and ranges of the designs that compare targets, by target."""
+    volume, outlet = sizes.table.select("volume_m3", "outlet").row(0)
+    return sizes.table.filter(volume_m3=volume, outlet=outlet).sort("target_mm")
+
+
+def tabulate_volumes(sizes: Sizes) -> list[Table]:
+    """Return a table of the cisterns for each outlet, beginning with the recommended outlet."""
+    own, table = sizes.recommended, sizes.table.filter(target_mm=sizes.recommended.target_mm)
+    outlets = sorted({*table["outlet"]}, key=lambda outlet: (outlet != own.outlet, outlet))
+    return [
+        _tabulate(
+            sizes, f"Cisterns, {own._replace(outlet=outlet).described_outlet}, target "
+            f"{own.target_mm:g} mm", "volume_m3", table.filter(outlet=outlet).sort("volume_m3"),
+        ) for outlet in outlets
+    ]
+
+
+def _tabulate(
+    sizes: Sizes, caption: str, varied: str, table: polars.DataFrame, names: Sequence[str] = MAIN
+) -> Table:
+    """Return the table of designs that differ in a column, ``volume_m3`` or ``target_mm``."""
+    shown = {name: SHOWN[name] for name in names}
+    rows = table.to_dicts()
+    own = getattr(sizes.recommended, varied)
+    return Table(
+        caption, [_HEADINGS[varied], *shown.values()],
+        [[f"{row[varied]:g}", *(write_range(row, *each) for each in shown.items())]
+         for row in rows],
+        frozenset(place for place, row in enumerate(rows) if row[varied] == own),
+    )
+
+
+def _tabulate_assumptions(sizes: Sizes) -> Table:
+    """Return the table of the recommended design at both ends of every assumption."""
+    shown = {name: SHOWN[name] for name in _RESTS_ON}
+    return Table(
+        "The recommended design with each assumption at the ends of its range, one at a time",
+        ["assumption", "value", *shown.values(), "best cistern (m³)"],
+        [
+            [row["assumption"], row["value"], *(write_range(row, *each) for each in shown.items()),
+             f"{row['best_cistern_m3']:g}"]
+            for row in find_ranges(sizes.tested, BY_TEST).to_dicts()
+        ],
+        frozenset({0}),
+    )
+
+
+def _select_references(sizes: Sizes) -> polars.DataFrame:
+    """Return the results of each season with the recommended design, and what it is compared with.
+
+    The column ``case`` names them.
+    """
+    own, rows = sizes.recommended, sizes.references
+    case = polars.lit(f"{own.volume_m3:g} m³, {own.described_outlet}").alias("case")
+    used = sizes.table_of_seasons.filter(**own._asdict()).with_columns(case)
+    named = used.select(rows.columns)
+    return polars.concat([rows, named], how="vertical_relaxed")
+
+
+def _tabulate_references(sizes: Sizes) -> Table:
+    """Return the table of the recommended design and of what it is compared with."""
+    shown = {name: SHOWN[name] for name in _COMPARED}
+    return Table("A season", ["", *shown.values()], [
+        [row["case"], *(write_range(row, *each) for each in shown.items())]
+        for row in find_ranges(_select_references(sizes), ["case"]).to_dicts()
+    ])
+
+
+def _tabulate_peaks(sizes: Sizes) -> Table:
+    """Return the table of the seasons' highest peaks by return period."""
+    return tabulate_peaks(f"The seasons' highest discharge over {_PEAK_MIN} min (L/s)", {
+        str(case): rows[PEAKS[_PEAK_MIN]]
+        for (case,), rows in _select_references(sizes).group_by("case", maintain_order=True)
+    })
+
+
+# --- figures --------------------------------------------------------------------------------------
+
+_DRAWN = ("mains_m3", "wet_discharge_m3", "discharge_m3", "demand_met_share")
+
+
+def _draw_volumes(sizes: Sizes) -> Figure:
+    """Return the figure of the results against the volume, with a line for each outlet."""
+    table = sizes.table.filter(target_mm=sizes.recommended.target_mm)
+    return _draw("cisterns", "Cisterns and outlets", "volume_m3", table, _DRAWN, "log")
+
+
+def _draw_targets(sizes: Sizes) -> Figure:
+    """Return the figure of the water that a target takes, and of what plants lose."""
+    table = _select_targets(sizes)
+    title = f"Targets, with a cistern of {table['volume_m3'][0]:g} m³"
+    return _draw("targets", title, "target_mm", table, ("mains_m3", LOST), "linear")
+
+
+def _draw(
+    name: str, title: str, varied: str, table: polars.DataFrame, names: Sequence[str], scale: Any
+) -> Figure:
+    """Return a figure with a panel for each result."""
+    x = alt.X(
+        f"{varied}:Q", title=_HEADINGS[varied],
+        axis=alt.Axis(values=sorted({*table[varied]}), format="~g", labelOverlap=True),
+        scale=alt.Scale(type=scale, nice=False, zero=False),
+    )
+    series = distinguish_series("outlet", list(dict.fromkeys(table["outlet"])))
+    base, panels = alt.Chart(alt.NamedData(name)).encode(x=x, **series), []
+    for each in names:
+        form = "%" if SHOWN[each].unit == "%" else ""
+        panels.append(Panel(draw_band(base, each, form=form), SHOWN[each].heading, 200))
+    drawn = table.select(varied, "outlet", *(
+        f"{each}{end}" for each in names for end in ("", "_min", "_max")
+    ))
+    return Figure(
+        name, title, "Lines are means of the seasons; bands extend from the lowest to the highest "
+        "season.", tuple(panels), 2, {name: drawn.to_dicts()},
+    )
