@@ -44,7 +44,7 @@ class Command:
 GROUPS = {
     "run the roof": {
         "run": Command("bringup.simulated", "run the node graph of a simulated site"),
-        "live": Command("bringup.live", "operate a real site with sensors and a pump"),
+        "live": Command("live.live_site", "operate a real site with sensors and a pump"),
         "fetch-forecast": Command("fetch_forecast", "fetch a forecast from the internet"),
         "hold": Command("requests", "hold the pump off until a release or a given "
         "time", "HOLD"),

@@ -25,7 +25,7 @@ from greenroof_ros.controllers.registry import ControllerChoice, find_controller
 from greenroof_ros.forecast.choice import ForecastChoice
 from greenroof_ros.forecast.steps import make_forecast
 from greenroof_ros.physics.parameters import Flows, State, plant_parameters
-from greenroof_ros.physics.sensor_and_pump import SensorAndPump
+from greenroof_ros.physics.pump import SensorAndPump
 from greenroof_ros.physics.tick import OWN_PUMPS, step
 from greenroof_ros.physics.virtual_site import VirtualSite
 from greenroof_ros.simulation.inputs import find_needs

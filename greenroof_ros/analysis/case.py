@@ -26,7 +26,7 @@ from greenroof_ros.controllers.outlet import CLOSED, DRAIN, OPEN, PLAN, PRICE
 from greenroof_ros.controllers.registry import BUILT_IN, ControllerChoice, find_controller
 from greenroof_ros.forecast.choice import OPTIONS, ForecastChoice
 from greenroof_ros.physics.compiled import can_compile
-from greenroof_ros.physics.sensor_and_pump import PARAMETERS, SensorAndPump
+from greenroof_ros.physics.pump import PARAMETERS, SensorAndPump
 from greenroof_ros.results.table import format_exactly, summary_columns
 from greenroof_ros.simulation import bound
 from greenroof_ros.simulation.inputs import RunInputs

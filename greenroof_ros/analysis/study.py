@@ -22,7 +22,7 @@ from greenroof_ros.base.processes import scratch_directory
 from greenroof_ros.controllers.registry import DEFAULT, choose_class, find_controller
 from greenroof_ros.forecast.choice import ForecastChoice
 from greenroof_ros.forecast.issue import read_archive, write_forecasts
-from greenroof_ros.physics.sensor_and_pump import SensorAndPump
+from greenroof_ros.physics.pump import SensorAndPump
 from greenroof_ros.results.table import find_differing_keys, make_frame
 from greenroof_ros.simulation.inputs import RunInputs, find_needs, make_inputs
 from greenroof_ros.simulation.run import Run

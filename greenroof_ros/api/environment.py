@@ -40,9 +40,9 @@ from greenroof_ros.results.sums import (
     WET_DISCHARGE,
     is_stressed,
 )
-from greenroof_ros.simulation import summary
 from greenroof_ros.simulation.inputs import find_needs, make_inputs
 from greenroof_ros.simulation.loop import Tick, make_trajectory
+from greenroof_ros.simulation.output import make_summary
 from greenroof_ros.simulation.run import Run
 from greenroof_ros.simulation.season import ALL_KEPT, Case, Control, Season, Ticks, run_ticks
 from greenroof_ros.site.horizon import look_ahead_ends
@@ -289,7 +289,7 @@ def play_again(run: Run, played: array[float]) -> Result:
     if roofs.left:
         raise ConfigurationError("has a result only after its last tick", key="the run")
     (results,) = roofs.results()
-    made = summary.make_summary(run, *results, wall_s=time.monotonic() - began, solver=None)
+    made = make_summary(run, *results, wall_s=time.monotonic() - began, solver=None)
     return Result(run, made, make_trajectory(run, roofs.sites.kept[0], 1))
 
 

@@ -25,9 +25,13 @@ from greenroof_ros.physics.storm_water import Event
 from greenroof_ros.results.metrics import METRICS
 from greenroof_ros.results.table import make_frame
 from greenroof_ros.results.trajectory import COLUMNS, TRAJECTORY, Time, Trajectory, zone_name
-from greenroof_ros.simulation import loop, summary
-from greenroof_ros.simulation.directory import make_run_directory, write_configuration
+from greenroof_ros.simulation import loop
 from greenroof_ros.simulation.inputs import RunInputs, make_inputs
+from greenroof_ros.simulation.output import (
+    make_run_directory,
+    write_configuration,
+    write_summary,
+)
 from greenroof_ros.simulation.run import Run
 from greenroof_ros.site import file as site_file
 from greenroof_ros.site.horizon import MAX_HORIZON
@@ -365,7 +369,7 @@ class Result:
             made = make_run_directory(Path(directory), self.run.controller.name)
         write_configuration(made, self.run, {})
         (made / TRAJECTORY).write_bytes(content)
-        summary.write(self.summary, made)
+        write_summary(self.summary, made)
         return made
 
 

@@ -23,8 +23,7 @@ from greenroof_ros.nodes.weather import RecordedWeather
 from greenroof_ros.ros.alarms import ROLE
 from greenroof_ros.ros.domain import lock_bringup, ros_arguments
 from greenroof_ros.ros.spin import destroy_nodes, end_nodes, ros, spin
-from greenroof_ros.simulation import screen, summary
-from greenroof_ros.simulation.directory import make_run_directory, write_configuration
+from greenroof_ros.simulation import output, screen
 from greenroof_ros.simulation.run import Run
 
 # How long messages of a node that is not composed here are still received after the last tick (s):
@@ -48,23 +47,23 @@ def run_graph(run: Run, arguments: argparse.Namespace, signals: Signals) -> int:
         OSError: if the directory cannot be created, or the summary cannot be written.
     """
     with lock_bringup(arguments.namespace):
-        directory = make_run_directory(arguments.output, run.controller.name)
-        parameters = write_configuration(directory, run, {
+        directory = output.make_run_directory(arguments.output, run.controller.name)
+        parameters = output.write_configuration(directory, run, {
             "speed": arguments.speed, "pump": arguments.pump, "record": not arguments.no_record,
             "peer_limit": arguments.peer_limit,
         })
-        summary.write(summary.make_unfinished_summary(run, summary.RUNNING), directory)
+        output.write_summary(output.make_unfinished_summary(run, output.RUNNING), directory)
         words = ros_arguments([parameters], arguments.namespace)
         nodes: dict[str, Any] = {}
-        status, reason, code = summary.DONE, "", EXIT_DONE
+        status, reason, code = output.DONE, "", EXIT_DONE
         with ros(["greenroof", *words, "--disable-stdout-logs"]):
             try:
                 _run_nodes(nodes, run, arguments, signals)
             except InterruptedRun as error:
-                status, reason, code = summary.INTERRUPTED, str(error), EXIT_INTERRUPTED
+                status, reason, code = output.INTERRUPTED, str(error), EXIT_INTERRUPTED
                 print_line(reason)
             except Exception as error:
-                status, reason, code = summary.FAILED, *explain(error)
+                status, reason, code = output.FAILED, *explain(error)
                 print_line(f"error: {reason}")
             try:
                 if end_nodes([*nodes.values()], reason or None) is not None:
@@ -140,14 +139,14 @@ def _summarize(
         "last_tick": plant.progress()["tick"] if plant is not None and plant.acted else None,
         **({} if controller is None else controller.progress()),
     }
-    if status != summary.DONE:
+    if status != output.DONE:
         print_line(f"the unfinished run is in {directory}")
         happened["reason"] = reason
-        summary.write(summary.make_unfinished_summary(run, status, **happened), directory)
+        output.write_summary(output.make_unfinished_summary(run, status, **happened), directory)
         return
     results: dict[str, Any] = {"solver": None, "messages": None}
     for name, node in nodes.items():
         results |= {} if name == ROLE else node.result
-    result = summary.make_summary(run, **results, **happened)
-    summary.write(result, directory)
+    result = output.make_summary(run, **results, **happened)
+    output.write_summary(result, directory)
     screen.show_summary(result, directory, as_json=arguments.json)

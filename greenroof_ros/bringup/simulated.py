@@ -5,9 +5,8 @@ from __future__ import annotations
 from functools import partial
 
 from greenroof_ros.base.command_line import Parser, command, make_number_type
-from greenroof_ros.bringup.start import bring_up
 from greenroof_ros.interface.states import EXTERNAL
-from greenroof_ros.ros.domain import add_graph_arguments, prepare_ros
+from greenroof_ros.ros.domain import add_graph_arguments, bring_up, prepare_ros
 from greenroof_ros.simulation import screen
 from greenroof_ros.simulation.options import add_output_arguments, add_run_arguments, build_run
 

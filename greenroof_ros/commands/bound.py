@@ -19,9 +19,9 @@ from greenroof_ros.base.command_line import Parser, command
 from greenroof_ros.simulation.bound import BLOCK_S, bound_discharge, clairvoyant_bound
 from greenroof_ros.simulation.loop import simulate
 from greenroof_ros.simulation.options import add_site_arguments, build_run
+from greenroof_ros.simulation.output import describe_setting
 from greenroof_ros.simulation.run import Run
 from greenroof_ros.simulation.screen import setting_rows, show
-from greenroof_ros.simulation.summary import describe_setting
 
 Bound = tuple[dict[str, Any], list[tuple[str, str, str]]]
 """a result, and its rows: a label, a number and a description"""

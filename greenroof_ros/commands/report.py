@@ -48,10 +48,9 @@ def main() -> None:
     arguments = make_parser().parse_args()
     with require_extra("study"):
         from greenroof_ros.analysis.page import claim_output, write_output
-        from greenroof_ros.analysis.report.cases import Report
         from greenroof_ros.analysis.report.figures import make_figures
         from greenroof_ros.analysis.report.page import answer, render
-        from greenroof_ros.analysis.report.runs import find_runs
+        from greenroof_ros.analysis.report.runs import Report, find_runs
     output: Path = arguments.output or arguments.paths[0] / "report"
     with ProgressBar() as progress:
         progress.show("reading", 0.0)

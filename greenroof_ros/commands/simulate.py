@@ -24,8 +24,7 @@ from greenroof_ros.base.files import add_path_to_errors
 from greenroof_ros.base.processes import InterruptedRun, Signals
 from greenroof_ros.base.times import hours_minutes_seconds
 from greenroof_ros.results.trajectory import CSV, Trajectory, columns_of
-from greenroof_ros.simulation import screen, summary
-from greenroof_ros.simulation.directory import make_run_directory, write_configuration
+from greenroof_ros.simulation import output, screen
 from greenroof_ros.simulation.loop import simulate
 from greenroof_ros.simulation.options import add_output_arguments, add_run_arguments, build_run
 from greenroof_ros.simulation.run import Run
@@ -63,7 +62,7 @@ def main() -> None:
     if arguments.trajectory or arguments.trajectory_every:
         every = run.count_ticks_between(arguments.trajectory_every)
     controller = run.make_controller()  # if it cannot be made, there is no directory
-    directory = make_run_directory(arguments.output, run.controller.name)
+    directory = output.make_run_directory(arguments.output, run.controller.name)
     signals, progress = Signals(interrupt=True), ProgressBar()
 
     def show(share: float) -> None:
@@ -74,25 +73,25 @@ def main() -> None:
 
     def write(status: str, reason: str | None = None) -> None:
         happened = {"reason": reason, "last_tick": last_tick}
-        summary.write(summary.make_unfinished_summary(run, status, **happened), directory)
+        output.write_summary(output.make_unfinished_summary(run, status, **happened), directory)
 
     try:
-        write(summary.RUNNING)
-        write_configuration(directory, run, {})
+        write(output.RUNNING)
+        output.write_configuration(directory, run, {})
         with progress:
             result, trajectory = simulate(run, controller, every, show)
         if trajectory is not None:
             _write_trajectory(run, trajectory, directory / CSV)
-        summary.write(result, directory)
+        output.write_summary(result, directory)
     except (Exception, KeyboardInterrupt) as error:
         received = signals.received
         signals.ignore()
         if received is None:
-            write(summary.FAILED, str(error))
+            write(output.FAILED, str(error))
             raise
         # Compiled code and a user's class can turn the interrupt into any other error.
         reason = f"interrupted by {received.name}"
-        write(summary.INTERRUPTED, reason)
+        write(output.INTERRUPTED, reason)
         raise InterruptedRun(reason) from error
     screen.show_summary(result, directory, as_json=arguments.json)
     signals.check()

@@ -76,9 +76,8 @@ def main() -> int:
     """Run the cases of a study that have not been completed yet."""
     arguments = make_parser().parse_args()
     with require_extra("study"):
-        from greenroof_ros.analysis.report.cases import Report
         from greenroof_ros.analysis.report.page import make_notes, make_table
-        from greenroof_ros.analysis.report.runs import find_runs
+        from greenroof_ros.analysis.report.runs import Report, find_runs
     path = find_shipped(arguments.grid)
     grid, records = read_grid(path), dict[str, list[str]]()
     for run, _ in grid.files.runs.values():

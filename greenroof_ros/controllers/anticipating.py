@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.parameter import Parameter
 from greenroof_ros.controllers.regret_budget import WAITING_BUDGET, WAITING_SHARE, RegretBudget
-from greenroof_ros.controllers.roof_observer import OBSERVER_TIME_CONSTANT, RoofObserver
+from greenroof_ros.controllers.roof import OBSERVER_TIME_CONSTANT, RoofObserver
 from greenroof_ros.physics.parameters import plant_parameters
 from greenroof_ros.site.horizon import MAX_HORIZON, MAX_MEMBERS, growing_steps
 from greenroof_ros.site.site import Site
@@ -144,7 +144,7 @@ class Anticipating:
     """A controller that waits for forecast rain instead of pumping; a subclass decides.
 
     An observer filters the roof's level, and a budget limits the cost of waiting:
-    :class:`~greenroof_ros.controllers.roof_observer.RoofObserver` and
+    :class:`~greenroof_ros.controllers.roof.RoofObserver` and
     :class:`~greenroof_ros.controllers.regret_budget.RegretBudget`. A forecast with a missing value
     is treated as lost.
 

@@ -70,7 +70,7 @@ class Lookahead(Anticipating):
     start again.
 
     An observer filters the roof's level, and a budget limits the cost of waiting for rain:
-    :class:`~greenroof_ros.controllers.roof_observer.RoofObserver` and
+    :class:`~greenroof_ros.controllers.roof.RoofObserver` and
     :class:`~greenroof_ros.controllers.regret_budget.RegretBudget`.
 
     Attributes:

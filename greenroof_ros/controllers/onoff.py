@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from greenroof_ros.base.parameter import Parameter
 from greenroof_ros.controllers.anticipating import OF_FORECAST, OF_WAITING, Anticipating, Forecasts
-from greenroof_ros.controllers.roof_prediction import RoofPrediction
+from greenroof_ros.controllers.roof import RoofPrediction
 from greenroof_ros.site.site import Site
 
 FRACTION = Parameter(
@@ -124,7 +124,7 @@ class AnticipatingOnOff(Anticipating):
     forecast, and add the rain on the bed minus evapotranspiration to the water on the roof. Keep a
     running sum of the hours with too little water minus the hours with too much. Do not pump if
     this sum is zero or negative after any hour. A real site needs two more components, which are
-    updated in every tick: :class:`~greenroof_ros.controllers.roof_observer.RoofObserver` averages
+    updated in every tick: :class:`~greenroof_ros.controllers.roof.RoofObserver` averages
     the level readings, and :class:`~greenroof_ros.controllers.regret_budget.RegretBudget` limits
     the cost of forecast rain that never comes.
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from greenroof_ros.controllers.roof_prediction import RoofPrediction, drain
+from greenroof_ros.controllers.roof import RoofPrediction, drain
 from greenroof_ros.physics.parameters import plant_parameters
 from greenroof_ros.site.site import Site
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from greenroof_ros.controllers.roof_prediction import ABOVE_M, drain
+from greenroof_ros.controllers.roof import ABOVE_M, drain
 from greenroof_ros.physics.parameters import PlantParameters
 from greenroof_ros.physics.storm_water import find_wet
 

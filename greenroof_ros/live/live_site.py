@@ -1,4 +1,4 @@
-"""A live site: its options, its nodes with their parameters, and its operation.
+"""The command ``greenroof live``: a live site's options, its nodes, and its operation.
 
 This module imports ROS only to run the site.
 """
@@ -6,6 +6,8 @@ This module imports ROS only to run the site.
 from __future__ import annotations
 
 import argparse
+import atexit
+import logging
 import os
 import socket
 import time
@@ -21,6 +23,7 @@ from greenroof_ros.base.command_line import (
     EXIT_FAILED,
     Parser,
     add_site,
+    command,
     describe_error,
     make_number_type,
     refuse,
@@ -58,9 +61,14 @@ from greenroof_ros.live.supervisor import (
 )
 from greenroof_ros.live.upkeep import silence_limit
 from greenroof_ros.ros.alarms import ROLE
-from greenroof_ros.ros.domain import add_graph_arguments, lock_bringup, prepare_ros, ros_arguments
-from greenroof_ros.simulation import summary
-from greenroof_ros.simulation.directory import write_parameters
+from greenroof_ros.ros.domain import (
+    add_graph_arguments,
+    bring_up,
+    lock_bringup,
+    prepare_ros,
+    ros_arguments,
+)
+from greenroof_ros.simulation import output
 from greenroof_ros.simulation.inputs import find_needs
 from greenroof_ros.simulation.options import add_controller_arguments, read_controller
 from greenroof_ros.site.file import format_site, read_site
@@ -325,7 +333,19 @@ _MAY_RUN = (
 )
 
 
-def run_live(site: LiveSite, arguments: argparse.Namespace, signals: Signals) -> int:
+@command
+def main() -> int:
+    """Start the site, and keep it running until a signal stops it."""
+    # A full disk does not count as a logging error: lines that do not fit are lost. There is no
+    # flush at exit, which would block on a hung disk, and every line is flushed when it is written.
+    logging.raiseExceptions = False
+    atexit.unregister(logging.shutdown)
+    arguments = make_parser().parse_args()
+    site = LiveSite(arguments)
+    return bring_up(arguments, partial(_run, site, arguments), EXIT_DONE)
+
+
+def _run(site: LiveSite, arguments: argparse.Namespace, signals: Signals) -> int:
     """Start the nodes of a live site, and keep them running until a signal arrives.
 
     Returns:
@@ -350,10 +370,11 @@ def run_live(site: LiveSite, arguments: argparse.Namespace, signals: Signals) ->
     state = arguments.state.resolve()
     with lock_bringup(namespace, state), scratch_directory(IN_MEMORY) as memory:
         (state / "log").mkdir(parents=True, exist_ok=True)
-        parameters = write_parameters(memory, {name: own for name, (_, own) in nodes.items()})
+        given = {name: own for name, (_, own) in nodes.items()}
+        parameters = output.write_parameters(memory, given)
         files = _StartedFiles(memory, arguments.site, [parameters, *user_files, *site.files])
         files.write()
-        kept = state / "configuration" / summary.SITE_FILE  # for those who read the bag later
+        kept = state / "configuration" / output.SITE_FILE  # for those who read the bag later
         DISK.do(partial(_try, partial(replace_text, kept, files.site, parents=True)))
         write = _summarize(site, state)
         supervisor = LiveSupervisor(
@@ -362,7 +383,7 @@ def run_live(site: LiveSite, arguments: argparse.Namespace, signals: Signals) ->
             make_stopper(site.drive) if site.drive is not None else None, _tell, files.write,
         )
         try:
-            write(summary.RUNNING, None)
+            write(output.RUNNING, None)
             _supervise(supervisor, signals)
         except Exception as error:  # whatever the error, the summary must not state "running"
             signals.ignore()
@@ -442,7 +463,7 @@ def _end(write: Callable[[str, str], None], may_run: str, error: Exception) -> i
     known = isinstance(error, (InterruptedRun, NodeFailed))
     reason = str(error) if known else describe_error(error)
     reason = "; ".join(filter(None, (reason, may_run)))
-    write(summary.DONE if is_done else summary.FAILED, reason)
+    write(output.DONE if is_done else output.FAILED, reason)
     DISK.wait(_WRITTEN_S)
     _tell(f"done: {reason}" if is_done else f"error: {reason}")
     if is_done:
@@ -468,10 +489,10 @@ def _summarize(site: LiveSite, directory: Path) -> Callable[[str, str | None], N
 
     def write(values: dict[str, Any]) -> None:
         new = [to_record(each) for each in _list_alarms(directory) if each.number > before]
-        summary.write({**values, **setting, "alarms": new}, directory)
+        output.write_summary({**values, **setting, "alarms": new}, directory)
 
     def queue(status: str, reason: str | None) -> None:
-        ended = None if status == summary.RUNNING else iso(time.time())
+        ended = None if status == output.RUNNING else iso(time.time())
         values = {"status": status, "reason": reason, "ended": ended}
         DISK.do(partial(_try, partial(write, values)))
 

@@ -23,7 +23,7 @@ from greenroof_ros.base.parameter import Parameter
 from greenroof_ros.base.times import DEFAULT_START, epoch_ns, read_start
 from greenroof_ros.interface.states import PLANT
 from greenroof_ros.physics.parameters import Flows
-from greenroof_ros.physics.sensor_and_pump import PARAMETERS, SensorAndPump
+from greenroof_ros.physics.pump import PARAMETERS, SensorAndPump
 from greenroof_ros.physics.start import check_volumes, initial_states
 from greenroof_ros.physics.storm_water import WITHOUT_RAIN
 from greenroof_ros.physics.tick import OWN_PUMPS

@@ -9,7 +9,7 @@ levels and decides on a command, and the site executes the command and proceeds 
 from __future__ import annotations
 
 from greenroof_ros.physics.parameters import Flows, State, plant_parameters
-from greenroof_ros.physics.sensor_and_pump import (
+from greenroof_ros.physics.pump import (
     SensorAndPump,
     make_switch,
     observe_pump,

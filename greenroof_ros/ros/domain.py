@@ -1,4 +1,4 @@
-"""Access to the ROS domain: options, joining it, and excluding a second graph of the same user.
+"""Access to the ROS domain: options, joining it, excluding a second graph, and starting a graph.
 
 ROS is imported only when a function needs it.
 
@@ -7,6 +7,9 @@ DDS (the default middleware of ROS 2) uses shared memory by default between proc
 machine. A process, such as a ``ros2 topic echo`` after Ctrl-Z, that is stopped while it holds a
 lock in shared memory freezes unrelated nodes, and ``kill -9`` leaves the memory behind. UDP has
 neither problem, but makes each tick a little longer.
+
+A watcher that an option requests is a separate process; a run neither waits for a watcher nor fails
+because of one.
 """
 
 from __future__ import annotations
@@ -14,12 +17,15 @@ from __future__ import annotations
 import argparse
 import os
 import re
-from collections.abc import Iterable, Iterator
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
-from greenroof_ros.base.command_line import make_number_type
+from greenroof_ros.base.command_line import EXIT_DONE, EXIT_INTERRUPTED, make_number_type
 from greenroof_ros.base.errors import (
     ConfigurationError,
     OccupiedError,
@@ -27,8 +33,15 @@ from greenroof_ros.base.errors import (
     describe_extra,
 )
 from greenroof_ros.base.files import shared_directory
-from greenroof_ros.base.processes import LockedError, acquire_name_lock
+from greenroof_ros.base.processes import (
+    InterruptedRun,
+    LockedError,
+    Signals,
+    acquire_name_lock,
+    child_environment,
+)
 from greenroof_ros.base.ranges import Range
+from greenroof_ros.base.standard_error import print_line
 from greenroof_ros.interface.states import EXTERNAL
 
 _DOMAIN, _DISCOVERY = "ROS_DOMAIN_ID", "ROS_AUTOMATIC_DISCOVERY_RANGE"
@@ -225,3 +238,66 @@ def add_graph_arguments(parser: argparse.ArgumentParser, pump: str = "") -> None
             help="ROS 2 parameter file for the parameters that bringup does not set, such as the "
             "limits of the pump node (doc/reference/nodes.md); unknown parameters are rejected",
         )
+
+
+# How long the watcher may take to end (s) before it is killed.
+_ENDING_S = 3.0
+# How often a watcher that has exited is started again, after which time, and how often it is
+# checked (s).
+_MAX_RESTARTS, _WAIT_S, _CHECK_S = 10, 2.0, 0.25
+
+
+def bring_up(
+    arguments: argparse.Namespace, start: Callable[[Signals], int], stopped: int = EXIT_INTERRUPTED
+) -> int:
+    """Start a graph, with the watcher for ``--watch``; return the exit code.
+
+    Args:
+        arguments: the parsed command line.
+        start: function that runs the graph and returns the exit code.
+        stopped: exit code to return if a signal arrives before the first node is started, or after
+            the run.
+    """
+    signals, ending = Signals(), threading.Event()
+    keeper = threading.Thread(target=_keep_watcher, args=(arguments.namespace, ending))
+    if arguments.watch:
+        keeper.start()
+    try:
+        code = start(signals)
+    except InterruptedRun as error:  # before any node was started
+        print(error, file=sys.stderr)
+        return stopped
+    finally:
+        signals.ignore()
+        ending.set()
+        if keeper.is_alive():
+            keeper.join()
+    return code or (stopped if signals.received else EXIT_DONE)
+
+
+def _keep_watcher(namespace: str, ending: threading.Event) -> None:
+    """Run ``greenroof watch`` until the run ends; it prints its address.
+
+    If the watcher exits early, it is started again, at most ten times, and a line says so; the run
+    continues.
+    """
+    for left in reversed(range(_MAX_RESTARTS + 1)):
+        process = subprocess.Popen(
+            [sys.executable, "-m", "greenroof_ros", "watch", f"--namespace={namespace}"],
+            stdin=subprocess.DEVNULL, stdout=sys.stderr,  # a run's output may be JSON
+            start_new_session=True,  # Ctrl-C is for the run, which ends the watcher
+            env=child_environment(),
+        )
+        while process.poll() is None and not ending.wait(_CHECK_S):
+            pass
+        if ending.is_set():
+            process.terminate()
+            try:
+                process.wait(_ENDING_S)
+            except subprocess.TimeoutExpired:
+                process.kill()
+            return
+        then = f"starts again in {_WAIT_S:g} s" if left else "is given up"
+        print_line(f"watch: the watcher has exited, and {then}; the run continues")
+        if ending.wait(_WAIT_S):
+            return

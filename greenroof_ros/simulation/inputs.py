@@ -23,8 +23,7 @@ from greenroof_ros.forecast import choice
 from greenroof_ros.forecast.choice import PERFECT, ForecastChoice
 from greenroof_ros.forecast.steps import make_forecast
 from greenroof_ros.interface.topics import read_topics
-from greenroof_ros.physics import sensor_and_pump
-from greenroof_ros.physics.sensor_and_pump import SensorAndPump
+from greenroof_ros.physics.pump import PARAMETERS, SensorAndPump
 from greenroof_ros.physics.start import INITIAL_STATES, find_state
 from greenroof_ros.simulation.run import Run, count_ticks
 from greenroof_ros.site.file import check_site, read_site
@@ -186,7 +185,7 @@ INPUTS: dict[str, Parameter] = {
             "at their own times",
         ),
         *choice.INPUTS.values(),
-        *sensor_and_pump.PARAMETERS.values(),
+        *PARAMETERS.values(),
     )
 }
 """the inputs of a run, by name, apart from its controller and the controller's parameters"""
@@ -241,7 +240,7 @@ def make_inputs(controller: ControllerChoice, given: Mapping[str, Any]) -> RunIn
             if f"forecast_{name}" in values
         }),
         sensor_and_pump=make_record(SensorAndPump, {
-            name: values[name] for name in sensor_and_pump.PARAMETERS if name in values
+            name: values[name] for name in PARAMETERS if name in values
         }),
         **{name: values[name] for name in ("site", "weather") if name in values},
     )

@@ -23,7 +23,7 @@ from greenroof_ros.physics.virtual_site import VirtualSite
 from greenroof_ros.results.metrics import Metrics
 from greenroof_ros.results.sums import is_stressed
 from greenroof_ros.results.trajectory import COLUMNS, Trajectory, columns_of
-from greenroof_ros.simulation import summary
+from greenroof_ros.simulation.output import make_summary
 from greenroof_ros.simulation.run import Run
 from greenroof_ros.simulation.season import KEPT, Case, simulate_season
 
@@ -127,7 +127,7 @@ class Simulation:
 
     def summary(self) -> dict[str, Any]:
         """Return the content of ``summary.json``; call this after the last tick."""
-        return summary.make_summary(
+        return make_summary(
             self._run, *self.metrics.results(self.site.state),
             wall_s=time.monotonic() - self._began, solver=read_statistics(self._controller),
         )
@@ -184,7 +184,7 @@ def simulate(
         own = {"fraction": instance.fraction, "level": instance.level}
         case = Case(run.site, run.parameters | own, run, run.x1, run.x2)
         ((results, kept),), _ = simulate_season([case], every=every, progress=progress)
-        made = summary.make_summary(run, *results, wall_s=time.monotonic() - began, solver=None)
+        made = make_summary(run, *results, wall_s=time.monotonic() - began, solver=None)
         return made, make_trajectory(run, kept, every) if every else None
     simulation = Simulation(run, instance)
     trajectory = record(run, simulation.ticks(), every, progress)

@@ -17,7 +17,7 @@ from greenroof_ros.controllers.registry import (
 )
 from greenroof_ros.forecast import choice
 from greenroof_ros.forecast.choice import MODELS
-from greenroof_ros.physics import sensor_and_pump
+from greenroof_ros.physics.pump import PARAMETERS
 from greenroof_ros.physics.start import INITIAL_STATES
 from greenroof_ros.simulation.inputs import INPUTS, make_inputs
 from greenroof_ros.simulation.run import Run
@@ -42,7 +42,7 @@ def add_run_arguments(parser: Parser, arguments: Sequence[str] | None = None) ->
     for parameter in choice.INPUTS.values():
         add_option(group, parameter)
     group = parser.add_argument_group("sensor and pumps (default: as in the paper)")
-    for parameter in sensor_and_pump.PARAMETERS.values():
+    for parameter in PARAMETERS.values():
         add_option(group, parameter)
 
 

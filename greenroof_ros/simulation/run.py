@@ -21,8 +21,7 @@ from greenroof_ros.controllers.registry import ControllerChoice
 from greenroof_ros.forecast.choice import ForecastChoice
 from greenroof_ros.forecast.steps import Forecast
 from greenroof_ros.physics.parameters import plant_parameters
-from greenroof_ros.physics.pump import maximum_pump_flow
-from greenroof_ros.physics.sensor_and_pump import SensorAndPump
+from greenroof_ros.physics.pump import SensorAndPump, maximum_pump_flow
 from greenroof_ros.physics.storm_water import HOUR_S, time_without_rain
 from greenroof_ros.site.site import Site
 from greenroof_ros.weather.records import Records

@@ -15,7 +15,7 @@ from greenroof_ros.base.console import PlainConsole
 from greenroof_ros.base.text import escape
 from greenroof_ros.base.times import to_minutes
 from greenroof_ros.forecast.choice import PERFECT
-from greenroof_ros.physics.sensor_and_pump import SensorAndPump
+from greenroof_ros.physics.pump import SensorAndPump
 from greenroof_ros.results.metrics import METRICS
 from greenroof_ros.site.site import format_place
 from greenroof_ros.weather.summary import as_lines

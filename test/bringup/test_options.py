@@ -127,7 +127,7 @@ def test_a_command_each_tick_is_never_too_old(tmp_path: Path, pump: str, options
     file = tmp_path / "nodes.yaml"
     file.write_text(f"/**/{pump}:\n  ros__parameters: {{command_limit: 6.0}}\n")
     done = run_command(
-        "bringup.live", "--sensors", "external", "--weather", "external", *options.split(),
+        "live.live_site", "--sensors", "external", "--weather", "external", *options.split(),
         "--site", str(site_file(tmp_path, tau=60.0)), "--node-parameters", "nodes.yaml",
         cwd=tmp_path, env=environment(0),
     )
@@ -140,7 +140,7 @@ def test_a_directory_in_use(tmp_path: Path) -> None:
     """Two bringups must not write into one directory; with another domain they would not notice."""
     directory = tmp_path / "live"
     with lock_bringup("/elsewhere", directory):
-        done = run_command("bringup.live", *EXTERNAL, cwd=tmp_path, env=environment(0))
+        done = run_command("live.live_site", *EXTERNAL, cwd=tmp_path, env=environment(0))
     assert (done.returncode, directory.exists()) == (3, False)
     assert done.stderr.startswith(f"error: a bringup is already running in {directory}; stop it")
 

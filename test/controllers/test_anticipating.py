@@ -19,7 +19,7 @@ from places import CONFIG, DATA
 from greenroof_ros.controllers.anticipating import AfterForecast
 from greenroof_ros.controllers.onoff import AnticipatingOnOff
 from greenroof_ros.controllers.regret_budget import RegretBudget
-from greenroof_ros.controllers.roof_observer import RoofObserver
+from greenroof_ros.controllers.roof import RoofObserver
 from greenroof_ros.forecast.models import ForecastModel
 from greenroof_ros.forecast.steps import SteppedForecast
 from greenroof_ros.physics.pump import maximum_pump_flow

@@ -20,7 +20,7 @@ from places import CHECKOUT, CONFIG
 
 from greenroof_ros.physics.compiled import MIN_COMPILED, can_compile, compiled, records
 from greenroof_ros.physics.parameters import State, plant_parameters
-from greenroof_ros.physics.sensor_and_pump import SensorAndPump
+from greenroof_ros.physics.pump import SensorAndPump
 from greenroof_ros.physics.tick import OWN_PUMPS, step
 from greenroof_ros.simulation.season import Case, simulate_season
 from greenroof_ros.site.file import read_site

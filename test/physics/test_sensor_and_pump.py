@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from paper import PAPER_SITE, exact_flows, paper_run, tick_of
 
-from greenroof_ros.physics.sensor_and_pump import (
+from greenroof_ros.physics.pump import (
     SensorAndPump,
     make_switch,
     observe_pump,

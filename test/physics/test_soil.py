@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from paper import PAPER_SITE, site_with, tick_of
 from scipy.integrate import solve_ivp
 
-from greenroof_ros.controllers.roof_prediction import RoofPrediction
+from greenroof_ros.controllers.roof import RoofPrediction
 from greenroof_ros.physics.parameters import PlantParameters, State, plant_parameters
 from greenroof_ros.physics.soil import (
     filled_share,

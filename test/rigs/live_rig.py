@@ -29,7 +29,8 @@ def live(
     domain: int, cwd: Path, *arguments: str, code: int = 0, stderr: int | None = None
 ) -> Iterator[Process]:
     """Bring up a site; on request it must end as expected, together with all of its nodes."""
-    process = Process(domain, "bringup.live", "--state", "run", *arguments, cwd=cwd, stderr=stderr)
+    words = "live.live_site", "--state", "run", *arguments
+    process = Process(domain, *words, cwd=cwd, stderr=stderr)
     yield process
     nodes = process.nodes().values()
     process.process.send_signal(signal.SIGTERM)

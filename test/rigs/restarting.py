@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import sys
 
-from greenroof_ros.bringup.live import main
 from greenroof_ros.live import upkeep
+from greenroof_ros.live.live_site import main
 
 if __name__ == "__main__":
     upkeep.MAX_RESTARTS = int(sys.argv.pop(1))

@@ -32,7 +32,7 @@ from plan_of_a_run import compare, simulate_plan
 from greenroof_ros.commands.bound import main
 from greenroof_ros.controllers.onoff import OnOff
 from greenroof_ros.controllers.registry import choose_class
-from greenroof_ros.physics.sensor_and_pump import SensorAndPump
+from greenroof_ros.physics.pump import SensorAndPump
 from greenroof_ros.simulation.bound import (
     BLOCK_S,
     WEIGHTS,

@@ -18,8 +18,7 @@ from graphs import environment
 
 import greenroof_ros as gr
 from greenroof_ros.base.versions import format_versions, versions
-from greenroof_ros.simulation import summary
-from greenroof_ros.simulation.directory import make_run_directory
+from greenroof_ros.simulation.output import make_run_directory, write_summary
 
 
 def run_in_shell(command: str, cwd: Path) -> subprocess.CompletedProcess[str]:
@@ -48,7 +47,7 @@ def test_an_output_that_is_full_or_that_no_one_reads(tmp_path: Path) -> None:
     file = tmp_path / "large" / "trajectory.csv"
     assert (done.returncode, done.stderr.splitlines()[-1]) == (1, f"error: {file}: File too large")
     with pytest.raises(OSError, match=r"No such file or directory: '.*gone/summary.json'"):
-        summary.write({"status": "done"}, tmp_path / "gone")
+        write_summary({"status": "done"}, tmp_path / "gone")
 
 
 def test_runs_of_one_second(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

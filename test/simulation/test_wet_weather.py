@@ -15,8 +15,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from paper import run_in, site_with, weather_of
 
-from greenroof_ros.simulation.directory import write_configuration
 from greenroof_ros.simulation.loop import simulate
+from greenroof_ros.simulation.output import write_configuration
 from greenroof_ros.simulation.run import Run
 from greenroof_ros.weather.read import read_weather
 

@@ -13,7 +13,7 @@ from refusals import refusal
 from studies import GRID, cases_of, grid
 
 from greenroof_ros.base.files import shared_directory
-from greenroof_ros.simulation.directory import make_run_directory, write_configuration
+from greenroof_ros.simulation.output import make_run_directory, write_configuration
 from greenroof_ros.site.file import format_site, read_site
 from greenroof_ros.site.site import Site
 

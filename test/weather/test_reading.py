@@ -14,7 +14,7 @@ from places import CONFIG, DATA
 from refusals import refusal
 
 from greenroof_ros.base.times import parse_time
-from greenroof_ros.simulation.directory import write_configuration
+from greenroof_ros.simulation.output import write_configuration
 from greenroof_ros.site.file import read_site
 from greenroof_ros.weather.read import (
     default_weather,

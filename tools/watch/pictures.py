@@ -90,7 +90,7 @@ def fault(domain: int, place: Path) -> Iterator[Callable[[], object]]:
             "--cistern", "5.6", "--roof", "1.38",
         ))
         live = Process(
-            domain, "bringup.live", "--controller", "lookahead", *files,
+            domain, "live.live_site", "--controller", "lookahead", *files,
             "--forecast", "forecast.csv", "--drive", "danfoss_fc202", "--drive-at", drive.address,
             "--state", "state", cwd=place,
         )

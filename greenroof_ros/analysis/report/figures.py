@@ -15,7 +15,7 @@ import polars
 from numpy.typing import NDArray
 
 from greenroof_ros.analysis import figures
-from greenroof_ros.analysis.report.cases import Report
+from greenroof_ros.analysis.report.runs import Report
 from greenroof_ros.analysis.tables import BOUNDS, COLUMNS
 from greenroof_ros.results.trajectory import Trajectory
 from greenroof_ros.site.site import Site

@@ -11,7 +11,7 @@ from typing import Any
 from greenroof_ros.analysis.assumptions import list_assumptions
 from greenroof_ros.analysis.figures import Figure
 from greenroof_ros.analysis.page import Section, make_page
-from greenroof_ros.analysis.report.cases import Report, rank
+from greenroof_ros.analysis.report.runs import Report, rank
 from greenroof_ros.analysis.tables import BOUNDS, COLUMNS, WET, Table, write, write_range
 from greenroof_ros.base.text import number_of
 from greenroof_ros.results.metrics import METRICS

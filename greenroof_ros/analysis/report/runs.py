@@ -1,7 +1,8 @@
-"""The runs of a report: of studies, of run directories, and from bags.
+"""The runs of a report, of studies, of run directories, and from bags; and their cases.
 
 A study has a ``results.csv``, a run directory of the graph a bag. The directory of a simulation in
-one process contains the trajectory instead, or only the results.
+one process contains the trajectory instead, or only the results. The runs of a case differ only in
+their seeds and, for a season, in the year.
 """
 
 from __future__ import annotations
@@ -12,9 +13,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from datetime import datetime, timezone
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from greenroof_ros.analysis.tables import BOUNDS, TOTAL
+from greenroof_ros.analysis.tables import BOUNDS, COLUMNS, TOTAL, choose_metrics
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.files import default_site_file, read_text, read_yaml
 from greenroof_ros.base.text import number_of
@@ -22,15 +23,28 @@ from greenroof_ros.base.times import to_minutes
 from greenroof_ros.results.bag_read import load_bag
 from greenroof_ros.results.bag_write import METADATA
 from greenroof_ros.results.metrics import METRICS
-from greenroof_ros.results.recorded import compute_results
-from greenroof_ros.results.table import format_exactly, summary_columns
-from greenroof_ros.results.trajectory import CSV, TRAJECTORY, Trajectory, read_trajectory
-from greenroof_ros.simulation import summary
+from greenroof_ros.results.table import format_exactly, make_frame, summary_columns
+from greenroof_ros.results.trajectory import (
+    CSV,
+    TRAJECTORY,
+    Trajectory,
+    compute_results,
+    read_trajectory,
+)
+from greenroof_ros.simulation.output import DONE, SITE_FILE, SUMMARY
 from greenroof_ros.site.file import read_site
 from greenroof_ros.site.site import Site
 
+if TYPE_CHECKING:
+    import polars
+
 _NEEDED = ("run", "site", "start", "initial", "status", "error", "window", "case", "season")
 _NUMBERS = {"fallbacks", *BOUNDS.values(), *(metric.name for metric in METRICS)}
+# Metrics of which more is better.
+_MORE = {
+    "near_target_hours", "evapotranspiration_ratio", "roof_retention_share", "demand_met_share",
+    "retention_share",
+}
 
 
 @dataclass(frozen=True)
@@ -81,7 +95,7 @@ def read_about(run: Path) -> dict[str, Any]:
     Raises:
         ConfigurationError: if the summary is damaged.
     """
-    file = run / summary.SUMMARY
+    file = run / SUMMARY
     try:
         return {**json.loads(read_text(file))} if file.is_file() else {}
     except (ValueError, TypeError) as error:
@@ -123,7 +137,7 @@ def find_runs(paths: Sequence[Path], site_file: Path | None = None) -> Sources:
             settings = {"controller": about.get("controller"), **about.get("parameters", {})}
             texts = (f"{name} {value}" for name, value in settings.items() if value is not None)
             sources.read.append(f"{path}: {', '.join(texts) or 'no summary'}")
-        if (status := about.get("status", summary.DONE)) != summary.DONE:
+        if (status := about.get("status", DONE)) != DONE:
             ended = f"{status}, {' '.join((about.get('reason') or 'no reason known').split())}"
             reason = f"{ended}; {reason or 'its results are for the recorded part only'}"
         if reason:
@@ -195,7 +209,7 @@ def read_run(path: Path, site: Path | Site | None = None) -> ReportedRun:
     run, name, notes = run_directory(path), "", list[str]()
     about = read_about(run)
     if not isinstance(site, Site):
-        own = run / "configuration" / summary.SITE_FILE
+        own = run / "configuration" / SITE_FILE
         if site is None and not own.is_file():
             notes.append("there is no site file beside the bag: the paper's site, and UTC, assumed")
         file = site or (own if own.is_file() else default_site_file())
@@ -234,3 +248,59 @@ def read_run(path: Path, site: Path | Site | None = None) -> ReportedRun:
         "initial": (about.get("initial") or {"name": "as recorded"})["name"] or "own volumes",
         "window": f"from {to_minutes(start)}, {format_exactly(round(hours, 5))} h",
     }, trajectory, notes)
+
+
+class Report:
+    """All results, grouped into cases.
+
+    Attributes:
+        sources: where the runs are from.
+        show: the known metrics by which the cases are sorted, the most important one first.
+        metrics: all metrics of which a result is known.
+        years: the mean of each metric in each year, for each ``place`` and ``case``; the year is
+            null for runs of no season.
+        places: a table for each window and initial state, with a row for each case, the best first:
+            ``case``; ``place``, in what the window and the state differ from the others; the mean
+            of each metric, with the lowest and the highest run in ``..._min`` and ``..._max``; the
+            number of ``runs``, and the index of the ``first`` one.
+    """
+
+    def __init__(self, sources: Sources) -> None:
+        """Group and compare the runs."""
+        import polars
+
+        self.sources = sources
+        show = sources.show or choose_metrics(run.site for run in sources.runs)
+        keys = "case", *COLUMNS, *BOUNDS.values()
+        windows, states = ({run.row[key] for run in sources.runs} for key in ("window", "initial"))
+        rows = make_frame([{
+            **{key: run.row.get(key) for key in keys}, "first": first,
+            "place": ", ".join([
+                *[run.row["window"]] * (len(windows) > 1),
+                *[f"initial state {run.row['initial']}"] * (len(states) > 1),
+            ]),
+            "year": int(run.row["start"][:4]) if run.row.get("season") else None,
+        } for first, run in enumerate(sources.runs)], infer_schema_length=None)
+        known = [name for name in keys[1:] if rows[name].null_count() < len(rows)]
+        self.metrics = [name for name in COLUMNS if name in known]
+        self.show = [name for name in show if name in known] or [TOTAL]
+        case, values = ["place", "case"], polars.col(known)
+        self.years = rows.group_by(*case, "year", maintain_order=True).agg(values.mean())
+        means = self.years.group_by(case, maintain_order=True).agg(values.mean())
+        ranges = rows.group_by(case).agg(
+            values.min().name.suffix("_min"), values.max().name.suffix("_max"),
+            polars.len().alias("runs"), polars.col("first").first(),
+        )
+        self.places = [
+            place.sort(map(rank, self.show), nulls_last=True, maintain_order=True)
+            for place in means.join(ranges, on=case, maintain_order="left").partition_by(
+                "place", maintain_order=True
+            )
+        ]
+
+
+def rank(metric: str) -> polars.Expr:
+    """Return a number that is the lower, the better a metric is."""
+    import polars
+
+    return -polars.col(metric) if metric in _MORE else polars.col(metric)

@@ -17,8 +17,7 @@ from greenroof_ros.live.devices.sensor_file import ModbusSensor, MqttSensor, Sen
 from greenroof_ros.live.simulators.relay import LEAK, SimulatedValve
 from greenroof_ros.live.simulators.server import Server, make_device
 from greenroof_ros.physics.parameters import State
-from greenroof_ros.physics.pump import flow_at
-from greenroof_ros.physics.sensor_and_pump import SensorAndPump
+from greenroof_ros.physics.pump import SensorAndPump, flow_at
 from greenroof_ros.physics.virtual_site import VirtualSite
 from greenroof_ros.site.site import Site
 

@@ -22,13 +22,12 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
 from greenroof_ros.analysis.figures import Figure
-from greenroof_ros.analysis.report.cases import Report
 from greenroof_ros.analysis.report.figures import make_figures
 from greenroof_ros.analysis.report.page import render
-from greenroof_ros.analysis.report.runs import find_runs
+from greenroof_ros.analysis.report.runs import Report, find_runs
 from greenroof_ros.results.trajectory import Trajectory
-from greenroof_ros.simulation import summary
 from greenroof_ros.simulation.loop import Simulation, record
+from greenroof_ros.simulation.output import make_unfinished_summary, write_summary
 from greenroof_ros.simulation.run import Run
 
 START = datetime.fromisoformat("2021-07-07T02:00-05:00")
@@ -191,5 +190,5 @@ def ended_run(
     (directory / "configuration" / "weather").mkdir(parents=True)
     for name in ("site.yaml", "weather/toronto_2021-07.csv"):
         shutil.copy(CONFIG / name, directory / "configuration" / name)
-    summary.write({**summary.make_unfinished_summary(example.run, status), **known}, directory)
+    write_summary({**make_unfinished_summary(example.run, status), **known}, directory)
     return directory

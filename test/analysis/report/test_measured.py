@@ -11,7 +11,7 @@ from inputs import trajectory_of
 from paper import PAPER_SITE, paper_run, site_file
 
 from greenroof_ros.results.metrics import METRICS
-from greenroof_ros.results.recorded import compute_results
+from greenroof_ros.results.trajectory import compute_results
 from greenroof_ros.simulation.loop import simulate
 
 TARGET = 68.8 * 0.0457
