@@ -17,7 +17,6 @@ from mcap.records import Channel, Message, Schema
 from greenroof_ros.base.command_line import EXIT_DONE, EXIT_FAILED, Parser, command, print_lines
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.text import escape
-from greenroof_ros.results.bag_mend import read_chunks
 from greenroof_ros.results.bag_write import (
     find_files,
     name_next_file,
@@ -25,7 +24,7 @@ from greenroof_ros.results.bag_write import (
     read_recorded,
     write_metadata,
 )
-from greenroof_ros.results.mcap import McapWriter
+from greenroof_ros.results.mcap import McapWriter, read_chunks
 
 
 def recover(directory: Path, output: Path | None = None) -> tuple[Path, int, list[str]]:

@@ -9,22 +9,18 @@ from __future__ import annotations
 import functools
 import math
 import os
-import zlib
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from contextlib import suppress
-from io import BytesIO
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import yaml
-from mcap.reader import FOOTER_SIZE
-from mcap.records import Channel, Footer, McapRecord, Schema, Statistics
-from mcap.stream_reader import MAGIC_SIZE, StreamReader
+from mcap.records import Channel, Schema, Statistics
 
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.files import read_yaml, replace_text, shared_directory
 from greenroof_ros.interface.topics import Qos, Topic
-from greenroof_ros.results.mcap import McapWriter
+from greenroof_ros.results.mcap import McapWriter, read_summary
 
 METADATA = "metadata.yaml"
 
@@ -169,21 +165,6 @@ def name_recovered_bag(bag: Path) -> Path:
 
 def _read_number(file: Path) -> str:
     return file.stem.rpartition("_")[2]
-
-
-def read_summary(stream: BinaryIO) -> Iterator[McapRecord]:
-    """Yield the records of a file's summary, of which there are none if the file was not closed.
-
-    Raises:
-        Exception: of any kind, from the library, if the summary cannot be read or is damaged.
-    """
-    stream.seek(-(FOOTER_SIZE + MAGIC_SIZE), os.SEEK_END)
-    footer = next(StreamReader(stream, skip_magic=True).records)
-    if isinstance(footer, Footer) and footer.summary_start:
-        stream.seek(footer.summary_start)
-        summary = stream.read()
-        if footer.summary_crc in (0, zlib.crc32(summary[: -MAGIC_SIZE - 4])):
-            yield from StreamReader(BytesIO(summary), skip_magic=True).records
 
 
 def _read_index(path: Path) -> tuple[dict[int, str], list[Channel], Statistics] | None:
