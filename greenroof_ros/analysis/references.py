@@ -40,9 +40,7 @@ def remove_cistern(site: Site) -> Site:
     ))
 
 
-def simulate_references(
-    site: Site, seasons: Mapping[str, Run], threads: int
-) -> polars.DataFrame:
+def simulate_references(site: Site, seasons: Mapping[str, Run], threads: int) -> polars.DataFrame:
     """Return the metrics of a site without a green roof, and of one without irrigation.
 
     There is a row for each of them (column ``case``) and season. Without a green roof, all rain

@@ -33,13 +33,7 @@ from greenroof_ros.physics.compiled import can_compile, compiled, records
 from greenroof_ros.physics.parameters import Flows, State, plant_parameters
 from greenroof_ros.physics.storm_water import HOUR_S, is_wet, time_without_rain
 from greenroof_ros.results.metrics import Results, end_run, find_new_days
-from greenroof_ros.results.sums import (
-    MAINS,
-    OTHER_MAINS,
-    STRESSED,
-    WET_DISCHARGE,
-    is_stressed,
-)
+from greenroof_ros.results.sums import MAINS, OTHER_MAINS, STRESSED, WET_DISCHARGE, is_stressed
 from greenroof_ros.simulation.inputs import find_needs, make_inputs
 from greenroof_ros.simulation.loop import Tick, make_trajectory
 from greenroof_ros.simulation.output import make_summary

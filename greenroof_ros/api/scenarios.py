@@ -16,13 +16,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
-from greenroof_ros.api.simulate import (
-    Result,
-    choose_controller,
-    read_site,
-    simulate_run,
-    warn,
-)
+from greenroof_ros.api.simulate import Result, choose_controller, read_site, simulate_run, warn
 from greenroof_ros.base.errors import ConfigurationError, describe_choices, require_extra
 from greenroof_ros.base.files import read_yaml, shared_directory
 from greenroof_ros.base.ranges import Range

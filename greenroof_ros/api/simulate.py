@@ -27,11 +27,7 @@ from greenroof_ros.results.table import make_frame
 from greenroof_ros.results.trajectory import COLUMNS, TRAJECTORY, Time, Trajectory, zone_name
 from greenroof_ros.simulation import loop
 from greenroof_ros.simulation.inputs import RunInputs, make_inputs
-from greenroof_ros.simulation.output import (
-    make_run_directory,
-    write_configuration,
-    write_summary,
-)
+from greenroof_ros.simulation.output import make_run_directory, write_configuration, write_summary
 from greenroof_ros.simulation.run import Run
 from greenroof_ros.site import file as site_file
 from greenroof_ros.site.horizon import MAX_HORIZON
@@ -373,9 +369,7 @@ class Result:
         return made
 
 
-def simulate(
-    controller: str | type | Function = "onoff", **inputs: Any
-) -> Result:
+def simulate(controller: str | type | Function = "onoff", **inputs: Any) -> Result:
     """Simulate a run without ROS, with the same results as ``greenroof simulate``.
 
     Args:
@@ -504,9 +498,7 @@ class Comparison:
         })
 
 
-def compare(
-    controllers: Mapping[str, str | type | Function | Result], **inputs: Any
-) -> Comparison:
+def compare(controllers: Mapping[str, str | type | Function | Result], **inputs: Any) -> Comparison:
     """Simulate several controllers with the same inputs.
 
     Args:

@@ -90,9 +90,7 @@ def print_lines(kind: str, lines: Iterable[str]) -> None:
         print(escape(f"{kind}: {line}"), file=sys.stderr)
 
 
-def command(
-    main: Callable[[], int | None], *, failed: int | None = None
-) -> Callable[[], NoReturn]:
+def command(main: Callable[[], int | None], *, failed: int | None = None) -> Callable[[], NoReturn]:
     """Turn a function into a command that exits with the function's return value, or with 0.
 
     A :class:`ConfigurationError` is reported in one line on standard error, with exit code 2, or 3

@@ -347,9 +347,7 @@ def replace_text(file: Path, text: str, *, parents: bool = False) -> None:
     replace_file(file, lambda stream: stream.write(text.encode()), parents=parents)
 
 
-def replace_file(
-    file: Path, write: Callable[[BinaryIO], object], *, parents: bool = False
-) -> None:
+def replace_file(file: Path, write: Callable[[BinaryIO], object], *, parents: bool = False) -> None:
     """Replace a file as a whole, so that a power cut leaves either the old or the new file.
 
     Args:

@@ -92,9 +92,7 @@ def parse_broker(text: str, key: str, login: str = "", authority: str = "") -> B
     return Broker(host, port or (_TLS_PORT if tls else _PORT), tls, login, authority)
 
 
-def parse_topic(
-    text: str, key: str, login: str = "", authority: str = ""
-) -> tuple[Broker, str]:
+def parse_topic(text: str, key: str, login: str = "", authority: str = "") -> tuple[Broker, str]:
     """Return the broker and the topic in an address ``mqtt://HOST[:PORT]/TOPIC``.
 
     Args:

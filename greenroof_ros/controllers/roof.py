@@ -71,9 +71,7 @@ class RoofPrediction:
             self._water_of = lambda filled: np.interp(-np.log1p(-filled), ends, water)
             self._share_of = lambda arrived: -np.expm1(-np.interp(arrived, water, ends))
 
-    def predict_volume(
-        self, x2: Any, arriving: Any, potential: Any, seconds: Any
-    ) -> Array:
+    def predict_volume(self, x2: Any, arriving: Any, potential: Any, seconds: Any) -> Array:
         """Return the volume on the roof after a step of any length (m3).
 
         Rain falls at the start of the step. On the paper's soil, water above the capacity drains at
@@ -119,9 +117,7 @@ class RoofPrediction:
         filled = p.available_volume * self._share_of(water)
         return np.asarray(np.minimum(arrived, p.wilting_volume) + filled)
 
-    def predict_changes(
-        self, x2: float, rain: Array, potential: Array, lengths: Array
-    ) -> Array:
+    def predict_changes(self, x2: float, rain: Array, potential: Array, lengths: Array) -> Array:
         """Predict the changes in the volume on the roof in steps without pumping (m3).
 
         Args:

@@ -235,9 +235,7 @@ class SteppedForecast:
         return outlook
 
     @staticmethod
-    def at_once(
-        forecasts: Sequence[Any], tick: int, measured: tuple[Array, Array]
-    ) -> Array:
+    def at_once(forecasts: Sequence[Any], tick: int, measured: tuple[Array, Array]) -> Array:
         """Return the means of perfect forecasts for runs that differ by whole hours in their start.
 
         Args:

@@ -200,9 +200,7 @@ class ActuatorNode(LiveNode):
 
     # --- services ---------------------------------------------------------------------------------
 
-    def open_service(
-        self, name: str, kind: Any, act: Callable[[Any], tuple[bool, str]]
-    ) -> None:
+    def open_service(self, name: str, kind: Any, act: Callable[[Any], tuple[bool, str]]) -> None:
         """Offer a service that returns success and a message; an error rejects a request."""
 
         def answer(request: Any, response: Any) -> Any:
@@ -376,9 +374,7 @@ class DriveNode(ActuatorNode):
         finally:
             super().on_stop()
 
-    def drive_reasons(
-        self, snapshot: DriveSnapshot, now: float
-    ) -> Iterator[tuple[str, Diagnosis]]:
+    def drive_reasons(self, snapshot: DriveSnapshot, now: float) -> Iterator[tuple[str, Diagnosis]]:
         """Yield the drive's reasons for keeping the actuator off, each with the part it is about.
 
         The most important reason of a part comes first.

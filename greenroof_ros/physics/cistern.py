@@ -69,9 +69,7 @@ def draw_other(p: PlantParameters, x1: float, demand: float) -> float:
     return min(demand, max(0.0, x1 - p.a1 * p.suction_level) / p.tau)
 
 
-def let_out(
-    p: PlantParameters, x1: float, outlet: float, seconds: float
-) -> tuple[float, float]:
+def let_out(p: PlantParameters, x1: float, outlet: float, seconds: float) -> tuple[float, float]:
     """Return the volumes that leave through the upper and the low outlet in a step (m3).
 
     The upper outlet is computed first: while water flows through it, the head of the low outlet

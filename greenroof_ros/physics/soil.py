@@ -206,9 +206,7 @@ def flows_in_tick(
     return drained, potential, False
 
 
-def roof_after_tick(
-    p: PlantParameters, x2: float, arriving: float, potential: float
-) -> float:
+def roof_after_tick(p: PlantParameters, x2: float, arriving: float, potential: float) -> float:
     """Return the volume on a roof (m3) at the end of a tick; negative if the roof would dry out.
 
     Args:

@@ -110,9 +110,7 @@ def is_wet(without_rain: Any, tau: float, wet_after: float) -> Any:
     return without_rain - tau < wet_after * ROUNDING
 
 
-def find_wet(
-    rain: Any, tau: float, wet_after: float, without_rain: float
-) -> tuple[Any, float]:
+def find_wet(rain: Any, tau: float, wet_after: float, without_rain: float) -> tuple[Any, float]:
     """Return whether the weather is wet in each tick, shape (n,), and the time without rain (s).
 
     Args:

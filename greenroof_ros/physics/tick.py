@@ -17,12 +17,7 @@ from greenroof_ros.physics.cistern import (
 )
 from greenroof_ros.physics.parameters import Flows, PlantParameters, State
 from greenroof_ros.physics.pump import maximum_pump_flow
-from greenroof_ros.physics.soil import (
-    flows_in_tick,
-    layer_outflow,
-    water_stress,
-    water_to_raise,
-)
+from greenroof_ros.physics.soil import flows_in_tick, layer_outflow, water_stress, water_to_raise
 
 OWN_PUMPS = math.nan
 """stands for the pumped flow if the site's own pumps follow the command"""

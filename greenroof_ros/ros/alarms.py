@@ -185,9 +185,7 @@ def _group_devices(diagnoses: Diagnoses) -> Iterator[tuple[str, StatusDiagnosis]
             yield from ((each.name, common) for each in group)
 
 
-def find_causes(
-    diagnoses: Diagnoses, groups: Mapping[str, StatusDiagnosis] = {}
-) -> dict[str, str]:
+def find_causes(diagnoses: Diagnoses, groups: Mapping[str, StatusDiagnosis] = {}) -> dict[str, str]:
     """Return the name of the root cause of every diagnosis that follows from another diagnosis.
 
     An error does not follow from a warning. A state of the pump that requires a visit to the pump

@@ -161,9 +161,7 @@ class NodeDiagnostics:
         self._publisher.publish(array)
 
 
-def _follow(
-    before: Status | None, level: bytes, message: str, values: dict[str, Any]
-) -> Status:
+def _follow(before: Status | None, level: bytes, message: str, values: dict[str, Any]) -> Status:
     """Return a new status, which began when its code and fault appeared."""
     if before is not None and identity_of(before.values) == identity_of(values):
         return replace(before, level=level, message=message, values=values)

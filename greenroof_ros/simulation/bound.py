@@ -57,9 +57,7 @@ class NoBoundError(FailedError):
     """Error raised if the solver finds no optimum; the solver's message states the reason."""
 
 
-def _minimise(
-    costs: Values, balance: Any, right: Values, lower: Values, upper: Values
-) -> Any:
+def _minimise(costs: Values, balance: Any, right: Values, lower: Values, upper: Values) -> Any:
     """Return scipy's solution of a linear program: the least costs z with balance z = right.
 
     Raises:

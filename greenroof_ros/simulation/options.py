@@ -9,12 +9,7 @@ from typing import Any
 
 from greenroof_ros.base.command_line import Parser, add_option, add_site, option_of
 from greenroof_ros.base.errors import rename_keys
-from greenroof_ros.controllers.registry import (
-    BUILT_IN,
-    DEFAULT,
-    ControllerChoice,
-    find_controller,
-)
+from greenroof_ros.controllers.registry import BUILT_IN, DEFAULT, ControllerChoice, find_controller
 from greenroof_ros.forecast import choice
 from greenroof_ros.forecast.choice import MODELS
 from greenroof_ros.physics.pump import PARAMETERS

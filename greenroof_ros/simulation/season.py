@@ -28,12 +28,7 @@ from greenroof_ros.controllers.outlet_plan import HORIZON_H, PlanClock, find_lev
 from greenroof_ros.forecast.steps import make_forecast
 from greenroof_ros.physics.compiled import compiled, note_if_slow, pays_to_compile, records
 from greenroof_ros.physics.parameters import State, plant_parameters
-from greenroof_ros.physics.pump import (
-    make_switch,
-    observe_pump,
-    read_errors,
-    switch_pump,
-)
+from greenroof_ros.physics.pump import make_switch, observe_pump, read_errors, switch_pump
 from greenroof_ros.physics.storm_water import Event, find_wet, make_valve, move_valve
 from greenroof_ros.physics.tick import OWN_PUMPS, step
 from greenroof_ros.results import sums as s

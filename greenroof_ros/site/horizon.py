@@ -38,9 +38,7 @@ def growing_steps(horizon: float) -> NDArray[np.float64]:
     return np.concatenate(([0.0], ends[ends < seconds], [seconds]))
 
 
-def look_ahead_ends(
-    site: Site, horizon: float, outlet_horizon: float = 0.0
-) -> NDArray[np.float64]:
+def look_ahead_ends(site: Site, horizon: float, outlet_horizon: float = 0.0) -> NDArray[np.float64]:
     """Return the boundaries of a look-ahead's steps (s from now, first 0), shape (steps + 1,).
 
     Args:

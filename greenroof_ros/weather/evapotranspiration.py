@@ -240,9 +240,7 @@ def sun_height(latitude: float, seconds: NDArray[np.int64], east_of_meridian: fl
     return np.asarray(np.maximum(0.0, height))
 
 
-def spread_over_day(
-    daily: Array, site: Place, seconds: NDArray[np.int64], step_s: float
-) -> Array:
+def spread_over_day(daily: Array, site: Place, seconds: NDArray[np.int64], step_s: float) -> Array:
     """Distribute daily evapotranspiration over steps in proportion to the sun's elevation.
 
     The daily totals are preserved. A step that spans midnight belongs to the day in which it
@@ -271,9 +269,7 @@ def spread_over_day(
     return np.asarray(daily[day] * shares * step_s / totals[day])
 
 
-def find_extremes(
-    day: NDArray[np.intp], minimum: Array, maximum: Array, needed: float
-) -> Array:
+def find_extremes(day: NDArray[np.intp], minimum: Array, maximum: Array, needed: float) -> Array:
     """Return the minimum and maximum temperature of every day (degC), shape (2, days).
 
     Args:

@@ -368,9 +368,7 @@ def _open(file: Path, given: Description) -> tuple[Table, Description]:
     return table, made
 
 
-def _find_columns(
-    table: Table, described: Description
-) -> tuple[dict[str, tuple[str, str]], str]:
+def _find_columns(table: Table, described: Description) -> tuple[dict[str, tuple[str, str]], str]:
     """Return the column and unit of every quantity, and the method of evapotranspiration."""
     named = [(name, column) for name, (column, *_) in described.columns.items()] or [
         (description.usual_name(split_unit(column)[0]), column) for column in table.header

@@ -398,9 +398,7 @@ def _judge(parameter: FitRange, share: float, half: float) -> FittedParameter:
     return FittedParameter(parameter.name, value, low, high, why)
 
 
-def compute_intervals(
-    jacobian: Values, residuals: Values, groups: NDArray[np.int64]
-) -> Values:
+def compute_intervals(jacobian: Values, residuals: Values, groups: NDArray[np.int64]) -> Values:
     """Return the half-width of every parameter's 95 % interval.
 
     The method is Tukey's jackknife (Efron 1982, doi:10.1137/1.9781611970319) with Student's t. The

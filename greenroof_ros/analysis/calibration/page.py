@@ -7,11 +7,7 @@ import numpy as np
 import polars as pl
 
 from greenroof_ros.analysis.calibration.record import DAY_S, combine
-from greenroof_ros.analysis.calibration.result import (
-    INTERVAL_NOTE,
-    Calibration,
-    describe_scores,
-)
+from greenroof_ros.analysis.calibration.result import INTERVAL_NOTE, Calibration, describe_scores
 from greenroof_ros.analysis.figures import Figure, Panel, distinguish_series
 from greenroof_ros.analysis.page import Section, make_page
 from greenroof_ros.analysis.tables import Column, Table

@@ -59,9 +59,7 @@ def list_buildings(district: District, notes: list[str]) -> pl.DataFrame:
     return pl.DataFrame([*rows.values()])
 
 
-def make_buildings(
-    district: District, site: Site, listed: pl.DataFrame, draw: int
-) -> pl.DataFrame:
+def make_buildings(district: District, site: Site, listed: pl.DataFrame, draw: int) -> pl.DataFrame:
     """Return the buildings of a draw.
 
     The values of one key depend neither on the other keys nor on the number of buildings: if the

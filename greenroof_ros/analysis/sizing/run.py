@@ -210,9 +210,7 @@ def _simulate(
     return make_frame(rows, infer_schema_length=None)
 
 
-def _remark(
-    rows: polars.DataFrame, volume: float, compared: Sequence[float]
-) -> list[str]:
+def _remark(rows: polars.DataFrame, volume: float, compared: Sequence[float]) -> list[str]:
     """Return remarks on the recommended cistern (m3), and on what is unusual in its results."""
     remarks = [
         "One season is too few for a recommendation: what the cistern holds at its start counts as "

@@ -186,9 +186,7 @@ class ModbusLine:
             the same line.
     """
 
-    def __init__(
-        self, address: Address, serial: Serial, timeout_s: float
-    ) -> None:
+    def __init__(self, address: Address, serial: Serial, timeout_s: float) -> None:
         """Prepare the connection without opening it.
 
         Args:

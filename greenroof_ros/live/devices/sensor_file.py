@@ -197,9 +197,7 @@ def read_sensors(path: Path, max_ages: Mapping[str, float] | None = None) -> Sen
     return read_record(Sensors, path, lambda sensors, _: _mistakes(sensors, max_ages or {}))
 
 
-def _mistakes(
-    sensors: Sensors, max_ages: Mapping[str, float]
-) -> Iterator[tuple[str, str]]:
+def _mistakes(sensors: Sensors, max_ages: Mapping[str, float]) -> Iterator[tuple[str, str]]:
     """Yield the key and a description of every mistake; later checks rely on earlier ones."""
     for section, sensor in sensors.by_section.items():
         for key, expected in _sensor_mistakes(sensor, section, max_ages):
