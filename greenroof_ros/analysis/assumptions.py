@@ -5,11 +5,12 @@ A climate other than that of the record counts as an assumption.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import Any, NamedTuple
 
 from greenroof_ros.simulation.inputs import RunInputs
+from greenroof_ros.simulation.run import Run
 from greenroof_ros.site.site import Site
 from greenroof_ros.weather.climate import CLIMATE
 
@@ -51,8 +52,8 @@ ASSUMPTIONS = (
         3.0, "[assumed]",
     ),
 )
-OF_WEATHER = {"k_Rs", *CLIMATE}
-"""names of those for which the weather must be read again"""
+# Names of those for which the weather must be read again.
+_OF_WEATHER = {"k_Rs", *CLIMATE}
 
 
 def list_assumptions(site: Site) -> list[Assumption]:
@@ -64,18 +65,31 @@ def list_assumptions(site: Site) -> list[Assumption]:
 
 
 def list_ends(
-    site: Site, inputs: RunInputs
-) -> Iterator[tuple[Assumption, float, float, Site, RunInputs]]:
-    """Yield both ends of every assumption that affects a site.
+    site: Site, inputs: RunInputs, runs: dict[str, Run],
+    read_runs: Callable[[Site, RunInputs], dict[str, Run]],
+) -> Iterator[tuple[dict[str, str], dict[str, Any], dict[str, Run]]]:
+    """Yield a site as it is, and with both ends of every assumption that affects it, one at a time.
 
-    Each comes with the value that is used, the value of the end, and a site and inputs that have
-    the latter.
+    Args:
+        site: the site.
+        inputs: inputs with which the weather was read.
+        runs: the run of each season, by name.
+        read_runs: function that reads the weather again, and returns the runs of a site.
+
+    Yields:
+        The assumption and its value in words, as ``assumption`` and ``value``; the parameters of
+        the site that change; and the runs.
     """
-    for each in list_assumptions(site):
+    yield {"assumption": "as used", "value": ""}, {}, runs
+    of_climate = [each for each in ASSUMPTIONS if each.name in CLIMATE]
+    for each in (*list_assumptions(site), *of_climate):
+        used: float = getattr(inputs if each in of_climate else site, each.name)
         for value in (each.low, each.high):
-            changed: dict[str, Any] = {each.name: value}
-            yield each, getattr(site, each.name), value, replace(site, **changed), inputs
-    for each in ASSUMPTIONS[-len(CLIMATE):]:
-        for value in (each.low, each.high):
-            changed = {each.name: value}
-            yield each, getattr(inputs, each.name), value, site, replace(inputs, **changed)
+            change: dict[str, Any] = {each.name: value}
+            own, changed = runs, inputs
+            if each in of_climate:
+                change, changed = {}, replace(inputs, **change)
+            if each.name in _OF_WEATHER:
+                own = read_runs(replace(site, **change), changed)
+            words = {"assumption": f"{each.label}; used: {used:g}", "value": f"{value:g}"}
+            yield words, change, own

@@ -127,7 +127,7 @@ def list_notes(runs: Mapping[str, Run], site: Site) -> list[str]:
     notes += [f"weather of another climate: {run.weather.climate}" for run in runs.values()
               if run.weather.climate != RECORDED]
     for quantity in (PRECIPITATION, *FOR_EVAPOTRANSPIRATION):
-        hours = {name: run.series.filled_counts.get(quantity, 0) for name, run in runs.items()}
+        hours = {name: sum(run.series.filled.get(quantity, ())) for name, run in runs.items()}
         if any(hours.values()):
             treated = "treated as no rain" if quantity == PRECIPITATION else "filled"
             notes.append(f"missing hours of {quantity} were {treated}: " + ", ".join(

@@ -48,8 +48,6 @@ class Column(NamedTuple):
     """key of the sites that have it; empty if all have it"""
 
 
-LAYER = Column("drainage_layer_m3", "layer", needs="drainage_storage")
-
 # The columns besides the times, in the order of files and tables.
 COLUMNS = (
     Column("cistern_m3", "x1", "cistern", "/cistern/level"),
@@ -66,7 +64,7 @@ COLUMNS = (
     Column("outflow_m3_per_s", "flows.outflow", "outflow", "/cistern/outflow"),
     Column("drainage_m3_per_s", "flows.drainage", "drainage", "/roof/drainage"),
     Column("frost", "frost", "frost", "/weather/frost"),
-    LAYER,
+    Column("drainage_layer_m3", "layer", "layer", needs="drainage_storage"),
     Column("outlet_command", "outlet", "outlet", "/outlet/command", "low_outlet_valve"),
     Column(
         "low_outlet_flow_m3_per_s", "flows.low_outlet", "low_outlet", "/outlet/flow",
@@ -92,13 +90,12 @@ def columns_of(site: Site) -> list[Column]:
 
 def recorded_columns(site: Site) -> list[Column]:
     """Return the columns of a :class:`Trajectory` that a bag of a site contains."""
-    return [column for column in columns_of(site) if column.attribute and column.topic]
+    return [column for column in columns_of(site) if column.topic]
 
 
 # Name of every column of a trajectory's file, by its attribute.
 _NAMES = {
     "time": "time_s", **{column.attribute: column.name for column in COLUMNS if column.attribute},
-    "layer": LAYER.name,
 }
 _OPTIONAL = {column.name for column in COLUMNS if column.needs or not column.topic}
 

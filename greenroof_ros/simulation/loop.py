@@ -146,7 +146,7 @@ def record(
             of the run is always kept.
         progress: as for :func:`simulate`.
     """
-    names = (column.tick for column in COLUMNS if (column.attribute or column.tick) in KEPT)
+    names = (column.tick for column in COLUMNS if column.attribute)
     values, rows = attrgetter(*names), array("d")
     for tick in ticks:
         if every and (tick.k % every == 0 or tick.k == run.steps):
@@ -159,7 +159,7 @@ def record(
 
 def make_trajectory(run: Run, rows: NDArray[np.float64], every: int) -> Trajectory:
     """Make a trajectory from the values :data:`.KEPT` of every n-th tick, and of the last one."""
-    own = {column.attribute or column.tick for column in columns_of(run.site)}
+    own = {column.attribute for column in columns_of(run.site)}
     ticks = np.minimum(every * np.arange(len(rows)), run.steps)
     return Trajectory(start=run.start, time=run.site.tau * ticks, **{
         name: values for name, values in zip(KEPT, rows.T, strict=True) if name in own

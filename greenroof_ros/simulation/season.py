@@ -34,6 +34,7 @@ from greenroof_ros.physics.tick import OWN_PUMPS, step
 from greenroof_ros.results import sums as s
 from greenroof_ros.results.metrics import Results, end_run, find_new_days
 from greenroof_ros.results.sums import add
+from greenroof_ros.results.trajectory import COLUMNS
 from greenroof_ros.simulation.run import Run
 from greenroof_ros.site.horizon import look_ahead_ends
 from greenroof_ros.site.site import Site
@@ -75,11 +76,8 @@ class Case(NamedTuple):
     """group of sites for which a hydrograph is made"""
 
 
-KEPT = (
-    "cistern", "roof", "precipitation", "evapotranspiration", "command", "pump_flow", "outflow",
-    "drainage", "frost", "layer", "outlet", "low_outlet", "other", "other_demand", "mains", "wet",
-)
-"""values that are kept of a tick, under their names and in the order of :data:`.COLUMNS`"""
+KEPT = (*(column.attribute for column in COLUMNS if column.attribute),)
+"""values that are kept of a tick, as in a :class:`.Trajectory`"""
 ALL_KEPT = (*KEPT, "evaporated", "limited")
 """values that are kept of a tick where all flows are wanted"""
 _KEPT = len(KEPT)

@@ -159,8 +159,7 @@ class WeatherSeries:
         frost: 1 during frost, 0 without frost or if the temperature is unknown, in the same ticks.
         repeats_from: time from which the last record is repeated, because the window of M ticks
             extends beyond the end of the records; None if the records extend far enough.
-        filled: names of the hours of the run that were missing and have been filled, by quantity.
-        filled_counts: number of filled hours, by quantity.
+        filled: whether each hour of the run was missing and has been filled, by quantity.
         filled_hours: number of filled hours; an hour in which more than one quantity was filled
             counts once.
         frost_hours: duration of frost in the run (h); None if the temperature is unknown.
@@ -213,25 +212,21 @@ class WeatherSeries:
         self.precipitation_in_frost = float((frozen * rain).sum() * site.tau / 3600)
         self._summarized = weather, site, range(first, first + run)
         hours = slice(first, first + run)
-        filled = {
+        self.filled = {
             quantity: marks[hours] for quantity, marks in weather.filled.items()
             if marks[hours].any()
         }
-        self.filled = {
-            quantity: name_hours(weather.first + first * HOUR, marks)
-            for quantity, marks in filled.items()
-        }
-        self.filled_counts = {quantity: int(marks.sum()) for quantity, marks in filled.items()}
-        self.filled_hours = int(np.any(list(filled.values()), axis=0).sum())
+        self.filled_hours = int(np.any([*self.filled.values()], axis=0).sum())
 
     @property
     def notes(self) -> list[str]:
         """Sentences about filled and rare weather values, for readers of the results."""
+        first = self._part.first
         return [
             *(
-                f"{quantity} is missing at {', '.join(hours)} and was filled"
+                f"{quantity} is missing at {', '.join(name_hours(first, marks))} and was filled"
                 + (" with 0: rain in these hours is lost" if quantity == PRECIPITATION else "")
-                for quantity, hours in self.filled.items()
+                for quantity, marks in self.filled.items()
             ),
             *self.summary["notes"],
             *([f"the column {OTHER_DEMAND} is not used, because the site has no other_demand"]

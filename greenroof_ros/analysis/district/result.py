@@ -6,12 +6,13 @@ import os
 import shutil
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import polars as pl
 
-from greenroof_ros.analysis.assumptions import OF_WEATHER, list_ends
+from greenroof_ros.analysis.assumptions import list_ends
 from greenroof_ros.analysis.district import file as keys
 from greenroof_ros.analysis.district import page as shown
 from greenroof_ros.analysis.district import swmm as routing
@@ -269,15 +270,9 @@ def _test(
     given, site, best = result.district, result.site, result.best
     buildings = buildings.filter(pl.col("adopts_at").is_not_null())[:_SAMPLE]
     sites, flow = make_sites(given, buildings), Flow(best["outlet"], best["adoption"])
-    ends = list_ends(site, make_run_inputs(given, site))
-    for end in (None, *ends) if flow.adoption and sites else ():
-        words, change, own = {"assumption": "as used", "value": ""}, dict[str, Any](), runs
-        if end is not None:
-            (name, label, *_), used, value, changed_site, inputs = end
-            words = {"assumption": f"{label}; used: {used:g}", "value": f"{value:g}"}
-            change = {} if name in CLIMATE else {name: value}
-            if name in OF_WEATHER:
-                own = _read_runs(given, changed_site, inputs, [])
+    read_runs = partial(_read_runs, given, notes=[])
+    ends = list_ends(site, make_run_inputs(given, site), runs, read_runs)
+    for words, change, own in ends if flow.adoption and sites else ():
         for season, run in own.items() if not {*change} & {*buildings.columns} else ():
             run = replace(run, site=replace(run.site, **change))
             changed = [replace(each, **change) for each in sites]

@@ -13,7 +13,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from datetime import datetime, timezone
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import polars
 
 from greenroof_ros.analysis.tables import BOUNDS, COLUMNS, TOTAL, choose_metrics
 from greenroof_ros.base.errors import ConfigurationError
@@ -34,9 +36,6 @@ from greenroof_ros.results.trajectory import (
 from greenroof_ros.simulation.output import DONE, SITE_FILE, SUMMARY
 from greenroof_ros.site.file import read_site
 from greenroof_ros.site.site import Site
-
-if TYPE_CHECKING:
-    import polars
 
 _NEEDED = ("run", "site", "start", "initial", "status", "error", "window", "case", "season")
 _NUMBERS = {"fallbacks", *BOUNDS.values(), *(metric.name for metric in METRICS)}
@@ -179,8 +178,6 @@ def _read_table(file: Path) -> list[dict[str, Any]]:
     Raises:
         ConfigurationError: if the file is not a study's table, or is damaged.
     """
-    import polars  # not needed for the bags of a calibration
-
     try:
         table = polars.read_csv(file, infer_schema=False)
         numbers = _NUMBERS.intersection(table.columns)
@@ -267,8 +264,6 @@ class Report:
 
     def __init__(self, sources: Sources) -> None:
         """Group and compare the runs."""
-        import polars
-
         self.sources = sources
         show = sources.show or choose_metrics(run.site for run in sources.runs)
         keys = "case", *COLUMNS, *BOUNDS.values()
@@ -301,6 +296,4 @@ class Report:
 
 def rank(metric: str) -> polars.Expr:
     """Return a number that is the lower, the better a metric is."""
-    import polars
-
     return -polars.col(metric) if metric in _MORE else polars.col(metric)

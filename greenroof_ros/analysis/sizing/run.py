@@ -8,26 +8,17 @@ from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from greenroof_ros.analysis.assumptions import OF_WEATHER, list_ends
+from greenroof_ros.analysis.assumptions import list_ends
 from greenroof_ros.analysis.references import simulate_references
 from greenroof_ros.analysis.seasons import find_ranges, find_seasons, list_notes, read_window
 from greenroof_ros.analysis.sizing import designs as plans
-from greenroof_ros.analysis.sizing.designs import (
-    BY_DESIGN,
-    BY_TEST,
-    KEPT,
-    KNEE,
-    LOST,
-    Design,
-    find_knee,
-    find_target,
-)
+from greenroof_ros.analysis.sizing.designs import BY_DESIGN, KEPT, LOST, Design
 from greenroof_ros.base.errors import require_extra
 from greenroof_ros.base.ranges import Range
 from greenroof_ros.controllers.registry import find_controller
 from greenroof_ros.results.metrics import METRICS
 from greenroof_ros.results.table import make_frame
-from greenroof_ros.simulation.inputs import make_inputs
+from greenroof_ros.simulation.inputs import RunInputs, make_inputs
 from greenroof_ros.simulation.run import Run
 from greenroof_ros.simulation.season import Case, simulate_season
 from greenroof_ros.site.site import Site
@@ -48,7 +39,7 @@ def size(
     gaps: str | None = None, volumes: Sequence[float] | None = None,
     targets: Sequence[float] | None = None, outlets: Sequence[str] | None = None,
     season: str | None = None, rain_factor: float = 1.0, temperature_change: float = 0.0,
-    knee: float = KNEE, jobs: int = 1,
+    knee: float = plans.KNEE, jobs: int = 1,
     progress: Callable[[str, float], None] = lambda text, share: None,
 ) -> Sizes:
     """Compare cisterns, targets and outlets over all seasons of a record, like ``greenroof size``.
@@ -126,7 +117,7 @@ def size(
 
     def best_target(rows: polars.DataFrame) -> float:
         means = find_ranges(rows, BY_DESIGN).sort("target_mm")
-        return find_target(means["target_mm"].to_list(), means[LOST].to_numpy())
+        return plans.find_target(means["target_mm"].to_list(), means[LOST].to_numpy())
 
     def add_volumes(rows: polars.DataFrame, volumes: Sequence[float]) -> polars.DataFrame:
         there = {*rows.select(BY_DESIGN).iter_rows()}
@@ -137,7 +128,7 @@ def size(
     def best_volume(rows: polars.DataFrame) -> float:
         means = find_ranges(rows.filter(target_mm=target, outlet=outlet), BY_DESIGN)
         volumes, mains, wet = means.sort("volume_m3")["volume_m3", "mains_m3", "wet_discharge_m3"]
-        return float(volumes[find_knee(volumes.to_list(), -(mains + wet).to_numpy(), knee)])
+        return float(volumes[plans.find_knee(volumes.to_list(), -(mains + wet).to_numpy(), knee)])
 
     levels = own_targets or plans.choose_targets(base)
     rows = run("comparing targets", [Design(own, level, outlet) for level in levels])
@@ -156,23 +147,23 @@ def size(
     reference, tested = rows.filter(**best._asdict()), list[dict[str, Any]]()
     designs = [Design(each, target, outlet) for each in compared]
 
-    def test(label: str, value: str, made: polars.DataFrame) -> None:
+    def read_runs(changed: Site, other: RunInputs) -> dict[str, Run]:
+        ended, _ = other.read_records(changed)
+        return find_seasons(other, replace(ticks, k_Rs=changed.k_Rs), ended, window)[0]
+
+    def test(words: Mapping[str, str], made: polars.DataFrame) -> None:
         changed = made.filter(**best._asdict())
         if not (tested and changed.equals(reference)):
-            about = dict(zip(BY_TEST, (label, value, best_volume(made)), strict=True))
+            about = {**words, "best_cistern_m3": best_volume(made)}
             tested.extend(about | row for row in changed.drop(BY_DESIGN).to_dicts())
 
-    test("as used", "", rows)
-    for (name, label, *_), used, value, changed, other in list_ends(base, inputs):
-        runs = seasons
-        if name in OF_WEATHER:
-            ended, _ = other.read_records(changed)
-            runs, _ = find_seasons(other, replace(ticks, k_Rs=changed.k_Rs), ended, window)
-        made = run(f"assuming {name} {value:g}", designs, changed, runs)
-        test(f"{label}; used: {used:g}", f"{value:g}", made)
+    for words, change, runs in list_ends(base, inputs, seasons, read_runs):
+        like = replace(base, **change)
+        test(words, run("testing assumptions", designs, like, runs) if tested else rows)
     for filled in (0.0, 1.0):
         made = run("other initial states", designs, filled=filled)
-        test(f"share of the cistern filled at the start; used: {_HALF:g}", f"{filled:g}", made)
+        label = f"share of the cistern filled at the start; used: {_HALF:g}"
+        test({"assumption": label, "value": f"{filled:g}"}, made)
     contents, *notes = as_lines(summarize(record, base))
     left_out = [f"season {name} is left out: {why}" for name, why in incomplete.items()]
     return Sizes(

@@ -75,18 +75,26 @@ def test_what_a_site_lacks() -> None:
 def test_ends_of_the_assumptions() -> None:
     """One at a time; the percolation below field capacity needs a field capacity."""
     site, inputs = read_site(VALVE), make_inputs(find_controller("onoff"), {})
-    ends = [(assumption.name, value) for assumption, _, value, *_ in list_ends(site, inputs)]
-    assert ends == [
-        ("percolation_exponent", 1.5), ("percolation_exponent", 3.0), ("wet_after", 1.0),
-        ("wet_after", 6.0), ("runoff_coefficient", 0.75), ("runoff_coefficient", 0.95),
-        ("k_Rs", 0.16), ("k_Rs", 0.19), ("rain_factor", 0.9), ("rain_factor", 1.2),
-        ("temperature_change", 1.5), ("temperature_change", 3.0),
+    again = list[tuple[object, object]]()
+    ends = list_ends(site, inputs, {}, lambda *read: again.append(read) or {})
+    words, changes, _ = zip(*ends, strict=True)
+    assert changes == (
+        {}, {"percolation_exponent": 1.5}, {"percolation_exponent": 3.0}, {"wet_after": 1.0},
+        {"wet_after": 6.0}, {"runoff_coefficient": 0.75}, {"runoff_coefficient": 0.95},
+        {"k_Rs": 0.16}, {"k_Rs": 0.19}, {}, {}, {}, {},
+    )
+    values = ["", "1.5", "3", "1", "6", "0.75", "0.95", "0.16", "0.19", "0.9", "1.2", "1.5", "3"]
+    assert [each["value"] for each in words] == values
+    assert words[4]["assumption"].endswith("(h); used: 2")
+    # Only for these, the weather is read again.
+    assert again == [
+        *((replace(site, k_Rs=value), inputs) for value in (0.16, 0.19)),
+        *((site, replace(inputs, rain_factor=value)) for value in (0.9, 1.2)),
+        *((site, replace(inputs, temperature_change=value)) for value in (1.5, 3.0)),
     ]
-    changed = [(used, *others) for _, used, _, *others in list_ends(site, inputs)]
-    assert changed[3] == (2.0, replace(site, wet_after=6.0), inputs)
-    assert changed[9] == (1.0, site, replace(inputs, rain_factor=1.2))
     papers = read_site(CONFIG / "site.yaml")
-    assert next(list_ends(papers, inputs))[0].name == "wet_after"
+    _, (_, change, _), *_ = list_ends(papers, inputs, {}, lambda *read: {})
+    assert change == {"wet_after": 1.0}
 
 
 def test_an_orifice_gets_a_valve() -> None:
