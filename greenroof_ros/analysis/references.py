@@ -7,22 +7,19 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from greenroof_ros.controllers.registry import find_controller
 from greenroof_ros.physics.storm_water import connected_area
 from greenroof_ros.results.metrics import METRICS
 from greenroof_ros.results.sums import PEAKS_MIN
 from greenroof_ros.results.table import make_frame
-from greenroof_ros.simulation.run import Run
+from greenroof_ros.simulation.run import Run, Values
 from greenroof_ros.simulation.season import Case, simulate_season
 from greenroof_ros.site.file import check_site
 from greenroof_ros.site.site import WITHOUT_VALVE, Site
 
 if TYPE_CHECKING:
     import polars
-
-Values = NDArray[np.float64]
 
 NO_ROOF, NO_IRRIGATION = "no green roof", "green roof without irrigation"
 """what a site is compared with; neither has a cistern"""

@@ -91,18 +91,19 @@ def write_range(
     return texts[0] if texts[1] == texts[2] else f"{texts[0]} ({texts[1]} to {texts[2]})"
 
 
-def tabulate_peaks(caption: str, peaks: Mapping[str, Iterable[float]]) -> Table:
+def tabulate_peaks(what: str, peaks: Mapping[str, Iterable[float]]) -> Table:
     """Return the table of the five highest peaks of each case, by return period.
 
     The plotting position is Weibull's: the m-th largest of n values has a return period of
     (n + 1) / m.
 
     Args:
-        caption: caption of the table.
+        what: the peaks in words.
         peaks: the peak of each season, by case; all cases have the same seasons.
     """
     ranked = [*zip(*(sorted(each, reverse=True) for each in peaks.values()), strict=True)]
-    return Table(caption, ["return period (years)", *peaks], [
+    caption = f"{what} (L/s); the m-th largest of n has a return period of (n + 1) / m years"
+    return Table(f"{caption} (Weibull)", ["return period (years)", *peaks], [
         [f"{(len(ranked) + 1) / place:.3g}", *map(format_number, row)]
         for place, row in enumerate(ranked[:5], start=1)
     ])

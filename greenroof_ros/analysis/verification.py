@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.files import default_site_file
@@ -25,7 +24,7 @@ from greenroof_ros.forecast.issue import IssuedForecast, read_archive
 from greenroof_ros.results.table import make_frame
 from greenroof_ros.site.file import read_site
 from greenroof_ros.weather.read import find_files, read_weather
-from greenroof_ros.weather.records import HOUR
+from greenroof_ros.weather.records import HOUR, Array
 from greenroof_ros.weather.series import Weather
 from greenroof_ros.weather.summary import as_lines, summarize
 
@@ -157,8 +156,6 @@ def pair_hours(
     known = np.concatenate(([math.nan], records.precipitation, [math.nan]))
     return rain, known.take(np.add.outer(begins, np.arange(reach)), mode="clip")[None]
 
-
-Array = NDArray[np.float64]
 
 SCORES = {
     "n": ("n", "d"), "bias": ("bias", ".2f"), "r": ("r", ".2f"), "pod": ("POD", ".2f"),

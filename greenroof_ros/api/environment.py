@@ -13,7 +13,6 @@ from datetime import datetime, timedelta
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from greenroof_ros.api.simulate import (
     NEEDS_VALVE,
@@ -37,12 +36,10 @@ from greenroof_ros.results.sums import MAINS, OTHER_MAINS, STRESSED, WET_DISCHAR
 from greenroof_ros.simulation.inputs import find_needs, make_inputs
 from greenroof_ros.simulation.loop import Tick, make_trajectory
 from greenroof_ros.simulation.output import make_summary
-from greenroof_ros.simulation.run import Run
+from greenroof_ros.simulation.run import Run, Values
 from greenroof_ros.simulation.season import ALL_KEPT, Case, Control, Season, Ticks, run_ticks
 from greenroof_ros.site.horizon import look_ahead_ends
 from greenroof_ros.weather.series import WeatherSeries
-
-Values = NDArray[np.float64]
 
 # What a command from outside does not change, instead of the parameters of on/off control.
 _PARAMETERS = {"fraction": 0.0, "level": 0.0}

@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from greenroof_ros.base.errors import ConfigurationError, rename_keys, require_extra
 from greenroof_ros.base.files import default_site_file, find_shipped
@@ -28,7 +27,7 @@ from greenroof_ros.results.trajectory import COLUMNS, TRAJECTORY, Time, Trajecto
 from greenroof_ros.simulation import loop
 from greenroof_ros.simulation.inputs import RunInputs, make_inputs
 from greenroof_ros.simulation.output import make_run_directory, write_configuration, write_summary
-from greenroof_ros.simulation.run import Run
+from greenroof_ros.simulation.run import Run, Values
 from greenroof_ros.site import file as site_file
 from greenroof_ros.site.horizon import MAX_HORIZON
 from greenroof_ros.site.site import Site
@@ -37,7 +36,6 @@ if TYPE_CHECKING:
     import altair
     import polars
 
-Values = NDArray[np.float64]
 
 
 def read_site(path: str | Path | None = None, **changes: Any) -> Site:

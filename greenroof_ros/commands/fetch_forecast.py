@@ -21,7 +21,7 @@ from greenroof_ros.base.command_line import Parser, add_site, command, refuse
 from greenroof_ros.base.text import escape
 from greenroof_ros.base.times import to_people
 from greenroof_ros.commands.fetch_weather import add_url
-from greenroof_ros.forecast.service import ATTRIBUTION, ForecastFiles, Service
+from greenroof_ros.forecast.live import ATTRIBUTION, ForecastFiles, Service
 from greenroof_ros.site.file import read_site
 
 

@@ -17,13 +17,7 @@ from mcap.records import Channel, Message, Schema
 from greenroof_ros.base.command_line import EXIT_DONE, EXIT_FAILED, Parser, command, print_lines
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.text import escape
-from greenroof_ros.results.bag_write import (
-    find_files,
-    name_next_file,
-    name_recovered_bag,
-    read_recorded,
-    write_metadata,
-)
+from greenroof_ros.results import bag_write
 from greenroof_ros.results.mcap import McapWriter, read_chunks
 
 
@@ -43,7 +37,8 @@ def recover(directory: Path, output: Path | None = None) -> tuple[Path, int, lis
         OSError: if the new bag exists, or cannot be created.
     """
     bag = directory / "bag" if (directory / "bag").is_dir() else directory
-    files, target, losses = find_files(bag), output or name_recovered_bag(bag), list[str]()
+    files, losses = bag_write.find_files(bag), list[str]()
+    target = output or bag_write.name_recovered_bag(bag)
     if not files:
         raise ConfigurationError(
             "must be a run directory or a bag, but contains no .mcap file", file=directory
@@ -52,14 +47,14 @@ def recover(directory: Path, output: Path | None = None) -> tuple[Path, int, lis
     target.mkdir(parents=True)
     try:
         for file in files:
-            copy = name_next_file(target)
+            copy = bag_write.name_next_file(target)
             counts[file.name], lost = _copy_file(file, copy)
             if lost:
                 losses.append(f"{file.name}: {lost}")
             if not counts[file.name]:
                 copy.unlink(missing_ok=True)
-        copies = find_files(target)
-        write_metadata(target, copies)
+        copies = bag_write.find_files(target)
+        bag_write.write_metadata(target, copies)
     except OSError as error:
         shutil.rmtree(target, ignore_errors=True)
         raise ConfigurationError(
@@ -71,7 +66,7 @@ def recover(directory: Path, output: Path | None = None) -> tuple[Path, int, lis
         raise ConfigurationError("does not contain an intact chunk of messages", file=bag)
     losses += [
         f"{name}: {had - counts.get(name, 0)} of its {had} messages are lost"
-        for name, had in read_recorded(bag).items() if had > counts.get(name, 0)
+        for name, had in bag_write.read_recorded(bag).items() if had > counts.get(name, 0)
     ]
     return target, sum(counts.values()), losses
 

@@ -11,14 +11,13 @@ from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.parameter import Parameter
 from greenroof_ros.controllers.regret_budget import WAITING_BUDGET, WAITING_SHARE, RegretBudget
 from greenroof_ros.controllers.roof import OBSERVER_TIME_CONSTANT, RoofObserver
 from greenroof_ros.physics.parameters import plant_parameters
-from greenroof_ros.site.horizon import MAX_HORIZON, MAX_MEMBERS, growing_steps
+from greenroof_ros.site.horizon import MAX_HORIZON, MAX_MEMBERS, Array, growing_steps
 from greenroof_ros.site.site import Site
 
 _DAY_S = 86_400.0
@@ -44,7 +43,6 @@ OF_FORECAST = (
 )
 OF_WAITING = (OBSERVER_TIME_CONSTANT, WAITING_BUDGET, WAITING_SHARE)
 
-Array = NDArray[np.float64]
 Forecasts: TypeAlias = tuple[Array, Array]
 """rain (m/s), shape (members, steps), and evapotranspiration (m3/s), shape (steps,)"""
 

@@ -9,7 +9,6 @@ from collections.abc import Callable, Mapping
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from greenroof_ros.base.parameter import Parameter
 from greenroof_ros.controllers.anticipating import OF_FORECAST, OF_WAITING, Anticipating, Forecasts
@@ -18,7 +17,7 @@ from greenroof_ros.controllers.order_up_to import BELOW_M3, OrderUpTo, halve_by_
 from greenroof_ros.controllers.outlet import PLAN
 from greenroof_ros.physics.pump import maximum_pump_flow
 from greenroof_ros.physics.tick import command_to
-from greenroof_ros.site.horizon import MAX_HORIZON
+from greenroof_ros.site.horizon import MAX_HORIZON, Array
 from greenroof_ros.site.site import Site
 
 _HOUR_S = 3600.0
@@ -35,7 +34,6 @@ _MIN_STEP_S = 3600.0
 _MIN_SHARE = 1 / 8
 # Commands smaller than this (1) become 0, so max_command must be at least this.
 _MIN_COMMAND = 1e-5
-Array = NDArray[np.float64]
 
 # The plan while the last plan is still followed, and if the controller did not decide.
 _NO_NEW_PLAN, _UNDECIDED = np.empty((0, 4)), np.full((1, 4), np.nan)

@@ -43,8 +43,6 @@ _SOLVER_SETTINGS: dict[str, Any] = {
 # the tests allow.
 _AT_BOUND = 1e-9
 
-Array = NDArray[np.float64]
-
 # OSQP installs its own handler of SIGINT while it solves, and then restores the one it found: in a
 # second thread, this could be the first one's, and Ctrl-C would be lost from then on.
 _SOLVING = threading.Lock()
@@ -215,7 +213,7 @@ class Mpc:
         """
         return self.solve_seconds.statistics(self.solve_seconds.count, self.fallbacks)
 
-    def _solve(self, P: Array, q: Array) -> tuple[float, float] | None:
+    def _solve(self, P: NDArray[np.float64], q: NDArray[np.float64]) -> tuple[float, float] | None:
         """Return the first command and the objective of the program's solution.
 
         Return None if the program is not finite or the solver does not report it as solved.

@@ -10,11 +10,10 @@ from collections.abc import Sequence
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from greenroof_ros.base.parameter import Parameter
 from greenroof_ros.controllers.anticipating import OF_FORECAST, OF_WAITING, Anticipating, Forecasts
-from greenroof_ros.controllers.roof import RoofPrediction
+from greenroof_ros.controllers.roof import Array, RoofPrediction
 from greenroof_ros.site.site import Site
 
 FRACTION = Parameter(
@@ -84,8 +83,6 @@ class OnOff:
     def statistics(self) -> None:
         """Return None, because the controller has no solver."""
 
-
-Array = NDArray[np.float64]
 
 # Interval at which it checks whether to go on waiting (s).
 _CHECK_S = 60.0

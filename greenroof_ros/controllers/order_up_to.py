@@ -11,11 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from greenroof_ros.controllers.roof import RoofPrediction, drain
+from greenroof_ros.controllers.roof import Array, RoofPrediction, drain
 from greenroof_ros.physics.parameters import plant_parameters
 from greenroof_ros.site.site import Site
 
-Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 # The roof is held this far below the target (m3), at which the plant stops the pumps, Eq. (3a).

@@ -24,8 +24,6 @@ from greenroof_ros.physics.parameters import PlantParameters, plant_parameters
 from greenroof_ros.physics.storm_water import is_wet, time_without_rain
 from greenroof_ros.site.site import Site
 
-Array = NDArray[np.float64]
-
 POLICIES = CLOSED, OPEN, DRAIN, PLAN = "closed", "open", "drain", "plan"
 PRICE = 0.3
 """Usual cost of one m3 of mains water, in m3 of discharge in wet weather (1)."""
@@ -149,8 +147,8 @@ class Policy:
     """
 
     def __init__(
-        self, site: Site, ends: Array, without_rain: float, outlet: str, outlet_reserve: float,
-        outlet_price: float, outlet_reach: float,
+        self, site: Site, ends: NDArray[np.float64], without_rain: float, outlet: str,
+        outlet_reserve: float, outlet_price: float, outlet_reach: float,
     ) -> None:
         """Set the site and the policy; see :data:`PARAMETERS` for the units and meanings.
 

@@ -34,15 +34,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from greenroof_ros.base.errors import ConfigurationError, describe_choices, rename_keys
 from greenroof_ros.base.files import find_shipped, read_yaml, shared_directory
 from greenroof_ros.base.parameter import entry, make_record, parameters_of
 from greenroof_ros.forecast.issue import SERVICE_DELAY_H, SUFFIXES
-from greenroof_ros.site.horizon import MAX_MEMBERS
-
-Array = NDArray[np.float64]
+from greenroof_ros.site.horizon import MAX_MEMBERS, Array
 
 SKILLS = REAL, NONE = ("real", "none")
 """the skill of a weather service, and forecasts that know only the climate"""

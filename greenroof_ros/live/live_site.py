@@ -37,7 +37,7 @@ from greenroof_ros.base.times import iso
 from greenroof_ros.base.versions import versions
 from greenroof_ros.controllers.outlet import OPEN
 from greenroof_ros.controllers.registry import FOR_A_SITE, ControllerChoice
-from greenroof_ros.forecast.service import OPEN_METEO
+from greenroof_ros.forecast.live import OPEN_METEO
 from greenroof_ros.interface.alarm import Alarm, read_alarms, to_record
 from greenroof_ros.interface.states import EXTERNAL, PUMP, RECORDER, VALVE
 from greenroof_ros.live.devices.drive import DriveEndpoint

@@ -20,8 +20,16 @@ from typing import Any
 from greenroof_ros.base.disk import DISK, DiskThread
 from greenroof_ros.base.parameter import Parameter
 from greenroof_ros.base.times import from_epoch_ns, to_people
-from greenroof_ros.forecast.live import ForecastFile, LiveForecast, NoForecastError
-from greenroof_ros.forecast.service import ATTRIBUTION, MAX_DAYS, Fetcher, ForecastFiles, Service
+from greenroof_ros.forecast.live import (
+    ATTRIBUTION,
+    MAX_DAYS,
+    Fetcher,
+    ForecastFile,
+    ForecastFiles,
+    LiveForecast,
+    NoForecastError,
+    Service,
+)
 from greenroof_ros.forecast.steps import Outlook
 from greenroof_ros.interface.conditions import Diagnosis
 from greenroof_ros.live.live_input import LiveInput, live_parameters

@@ -19,11 +19,10 @@ from greenroof_ros.base.times import from_epoch_ns
 from greenroof_ros.interface.topics import read_topics
 from greenroof_ros.physics.pump import maximum_pump_flow
 from greenroof_ros.results.bag_write import METADATA
-from greenroof_ros.results.trajectory import COLUMNS, Trajectory, recorded_columns
+from greenroof_ros.results.trajectory import COLUMNS, Samples, Trajectory, recorded_columns
 from greenroof_ros.site.site import MAX_EVAPOTRANSPIRATION, MAX_RAIN, Site
 
 Stamps = NDArray[np.int64]
-Values = NDArray[np.float64]
 
 # Attribute of a trajectory, by topic. A sample needs the topics below; the others count as 0 if
 # they are missing.
@@ -62,7 +61,7 @@ class _Series(NamedTuple):
     """The values of a topic, and the times at which they were logged (ns since 1970)."""
 
     times: Stamps
-    values: Values
+    values: Samples
 
 
 def load_bag(
@@ -131,7 +130,7 @@ def load_bag(
     spacings = np.diff(samples)
     longest = max(_GAP_S * 1e9, _GAP_SPACINGS * float(np.median(spacings)))
     gaps = np.flatnonzero(spacings > longest)  # the last sample before each gap
-    columns: dict[str, Values] = {}
+    columns: dict[str, Samples] = {}
     for topic_name, name in of_site.items():
         columns[name] = np.zeros(len(samples))
         if topic_name in series:

@@ -14,7 +14,6 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from greenroof_ros.base.errors import ConfigurationError, FailedError
 from greenroof_ros.physics.cistern import low_outlet_flow
@@ -30,9 +29,7 @@ from greenroof_ros.physics.soil import (
 from greenroof_ros.physics.storm_water import HOUR_S, find_wet, interval_seconds
 from greenroof_ros.physics.tick import step
 from greenroof_ros.results.trajectory import Trajectory
-from greenroof_ros.simulation.run import Run
-
-Values = NDArray[np.float64]
+from greenroof_ros.simulation.run import Run, Values
 
 # Larger than the rounding errors of a year of ticks, and far too small to show in a bound.
 _ROUNDING = 1e-9

@@ -35,12 +35,10 @@ from greenroof_ros.results import sums as s
 from greenroof_ros.results.metrics import Results, end_run, find_new_days
 from greenroof_ros.results.sums import add
 from greenroof_ros.results.trajectory import COLUMNS
-from greenroof_ros.simulation.run import Run
+from greenroof_ros.simulation.run import Run, Values
 from greenroof_ros.site.horizon import look_ahead_ends
 from greenroof_ros.site.site import Site
 from greenroof_ros.weather.evapotranspiration import COMPUTED
-
-Values = NDArray[np.float64]
 
 # Ticks that are read together, and number of parts into which sites are divided, whatever the
 # number of threads, so that sums over sites do not depend on it.

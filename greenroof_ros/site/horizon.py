@@ -7,6 +7,8 @@ from numpy.typing import NDArray
 
 from greenroof_ros.site.site import Site
 
+Array = NDArray[np.float64]
+
 # Steps (s) for the first day; later steps are six hours each. Steps are fine where decisions are
 # carried out, and coarse where a plan only has to leave room.
 _FIRST_DAY = [10] * 6 + [30] * 2 + [60] * 3 + [300] * 3 + [900] * 4 + [1800] * 6 + [3600] * 20
@@ -20,7 +22,7 @@ MAX_MEMBERS = 100
 """maximum number of members in an ensemble of forecasts"""
 
 
-def growing_steps(horizon: float) -> NDArray[np.float64]:
+def growing_steps(horizon: float) -> Array:
     """Return the boundaries of steps of increasing length, from now to the horizon.
 
     From 4 h 20 min on, each step lasts one hour, and from 24 h 20 min on, six hours. The last
@@ -38,7 +40,7 @@ def growing_steps(horizon: float) -> NDArray[np.float64]:
     return np.concatenate(([0.0], ends[ends < seconds], [seconds]))
 
 
-def look_ahead_ends(site: Site, horizon: float, outlet_horizon: float = 0.0) -> NDArray[np.float64]:
+def look_ahead_ends(site: Site, horizon: float, outlet_horizon: float = 0.0) -> Array:
     """Return the boundaries of a look-ahead's steps (s from now, first 0), shape (steps + 1,).
 
     Args:

@@ -20,9 +20,7 @@ from numpy.typing import NDArray
 from greenroof_ros.base.files import replace_file
 from greenroof_ros.base.processes import LockedError, lock_file
 from greenroof_ros.base.standard_error import print_line
-from greenroof_ros.site.horizon import MAX_MEMBERS
-
-Values = NDArray[np.float64]
+from greenroof_ros.site.horizon import MAX_MEMBERS, Array
 
 # Length of a stretch (ns), short enough for 400 points in 12 h; how many are kept, of a week (s).
 STRETCH_NS, WEEK_S = 20_000_000_000, 7 * 24 * 3600
@@ -122,15 +120,15 @@ class Steps:
     """
 
     at: float
-    ends: Values
-    values: Values
+    ends: Array
+    values: Array
 
     @property
-    def begins(self) -> Values:
+    def begins(self) -> Array:
         """Beginnings of the steps (s since 1970), shape (steps,)."""
         return np.append(self.at, self.ends[:-1])
 
-    def lengths(self, now: float) -> Values:
+    def lengths(self, now: float) -> Array:
         """Return the part of each step that is between now and 12 h ahead (s), shape (steps,)."""
         until = now + AHEAD_S
         return np.clip(self.ends, now, until) - np.clip(self.begins, now, until)
@@ -139,7 +137,7 @@ class Steps:
         """Return how much of the next 12 h is covered (s)."""
         return min(float(self.ends[-1]) - now, AHEAD_S)
 
-    def line(self, values: Values, now: float, until: float) -> list[list[float]]:
+    def line(self, values: Array, now: float, until: float) -> list[list[float]]:
         """Return the line of values that each hold for a step, from now until a time."""
         begins, ends = (np.clip(times, now, until) for times in (self.begins, self.ends))
         seen = ends > begins

@@ -46,7 +46,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 from scipy.stats import gumbel_r
 
@@ -57,9 +56,7 @@ from greenroof_ros.base.ranges import Range
 from greenroof_ros.site.site import Place
 from greenroof_ros.weather.quantities import PRECIPITATION, find_unit
 from greenroof_ros.weather.read import find_files, read_measured
-from greenroof_ros.weather.records import Records
-
-Values = NDArray[np.float64]
+from greenroof_ros.weather.records import Array, Records
 
 # Durations (min), those of Environment and Climate Change Canada.
 _DURATIONS = 5, 10, 15, 30, 60, 120, 360, 720, 1440
@@ -67,7 +64,7 @@ _DURATIONS = 5, 10, 15, 30, 60, 120, 360, 720, 1440
 _ENOUGH, _MIN_YEARS = 0.9, 5
 
 
-def fit_record(records: Records, periods: Sequence[float]) -> tuple[Values, Values, str]:
+def fit_record(records: Records, periods: Sequence[float]) -> tuple[Array, Array, str]:
     """Return durations (min), depths (mm) of shape (durations, periods), and a note on their fit.
 
     Args:
@@ -105,7 +102,7 @@ def fit_record(records: Records, periods: Sequence[float]) -> tuple[Values, Valu
     )
 
 
-def fit_gumbel(maxima: Values, periods: Sequence[float]) -> Values:
+def fit_gumbel(maxima: Array, periods: Sequence[float]) -> Array:
     """Return the depths of return periods, shape (durations, periods).
 
     Args:
@@ -159,11 +156,11 @@ class Depths:
     """
 
     periods: Sequence[float]
-    durations: Values
-    table: Values
+    durations: Array
+    table: Array
     note: str
 
-    def depth(self, minutes: Values, period: float) -> Values:
+    def depth(self, minutes: Array, period: float) -> Array:
         """Return the depths (mm) of some durations (min).
 
         Durations outside the table continue its outermost segments.
@@ -180,7 +177,7 @@ class Depths:
 
 def make_storm(
     depths: Depths, period: float, kind: str, duration: int, step: int, peak: float | None = None
-) -> Values:
+) -> Array:
     """Return the rain in each step of a storm (mm), whose sum is the depth of its duration.
 
     Args:

@@ -27,13 +27,13 @@ from greenroof_ros.forecast.issue import (
     read_forecasts,
     write_forecasts,
 )
-from greenroof_ros.forecast.models import FileModel
-from greenroof_ros.forecast.service import (
+from greenroof_ros.forecast.live import (
     ATTRIBUTION,
     Fetcher,
     ForecastFiles,
     Service,
 )
+from greenroof_ros.forecast.models import FileModel
 from greenroof_ros.site.file import read_site
 from greenroof_ros.weather.open_meteo import VARIABLES
 from greenroof_ros.weather.quantities import PRECIPITATION, TEMPERATURE

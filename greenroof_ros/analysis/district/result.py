@@ -16,8 +16,14 @@ from greenroof_ros.analysis.assumptions import list_ends
 from greenroof_ros.analysis.district import file as keys
 from greenroof_ros.analysis.district import page as shown
 from greenroof_ros.analysis.district import swmm as routing
-from greenroof_ros.analysis.district.buildings import list_buildings, make_buildings, make_sites
-from greenroof_ros.analysis.district.scene import Flow, Scene, list_flows
+from greenroof_ros.analysis.district.buildings import (
+    Flow,
+    Scene,
+    list_buildings,
+    list_flows,
+    make_buildings,
+    make_sites,
+)
 from greenroof_ros.analysis.page import Section, claim_output, make_page, write_output
 from greenroof_ros.analysis.seasons import find_seasons, list_notes, read_window
 from greenroof_ros.base.errors import ConfigurationError

@@ -21,9 +21,9 @@ import jinja2
 import numpy as np
 import polars as pl
 
-from greenroof_ros.analysis.district.buildings import Values
-from greenroof_ros.analysis.district.scene import Scene
+from greenroof_ros.analysis.district.buildings import Scene
 from greenroof_ros.base.files import shared_directory
+from greenroof_ros.simulation.run import Values
 
 TEMPLATE = shared_directory() / "config/swmm/combined_sewer.inp"
 

@@ -221,8 +221,6 @@ def list_assumed(site: Site) -> list[str]:
     return notes
 
 
-Values = NDArray[np.float64]
-
 KNEE = 1.0
 """Water that another m3 of cistern must save (m3 a season): one filling [assumed]."""
 
@@ -231,7 +229,7 @@ MAX_LOST = 0.001
 lack of water [assumed]"""
 
 
-def find_knee(volumes: Sequence[float], saved: Values, amount: float) -> int:
+def find_knee(volumes: Sequence[float], saved: NDArray[np.float64], amount: float) -> int:
     """Return the index of the knee; that of the largest cistern if it is smaller than the knee.
 
     Args:
@@ -245,7 +243,7 @@ def find_knee(volumes: Sequence[float], saved: Values, amount: float) -> int:
     return int(enough[-1]) + 1 if enough.size else 0
 
 
-def find_target(targets: Sequence[float], lost: Values) -> float:
+def find_target(targets: Sequence[float], lost: NDArray[np.float64]) -> float:
     """Return the lowest target at which plants lose at most 0.1 % of their evapotranspiration (mm).
 
     A higher target takes more water, also from the mains. If there is no such target, return the

@@ -15,25 +15,14 @@ from greenroof_ros.analysis.figures import Figure, Panel, distinguish_series, dr
 from greenroof_ros.analysis.page import Section, claim_output, make_page, write_output
 from greenroof_ros.analysis.references import PEAKS
 from greenroof_ros.analysis.seasons import find_ranges
-from greenroof_ros.analysis.sizing.designs import (
-    BY_DESIGN,
-    BY_TEST,
-    KEPT,
-    LOST,
-    MAIN,
-    MAX_LOST,
-    NONE,
-    PAGE,
-    SHOWN,
-    TABLE,
-    Design,
-)
+from greenroof_ros.analysis.sizing import designs as plans
+from greenroof_ros.analysis.sizing.designs import KEPT, LOST, SHOWN, TABLE, Design
 from greenroof_ros.analysis.tables import Table, tabulate_peaks, write_range
 from greenroof_ros.site.site import Site
 
 _TITLE = "Which cistern for the green roof?"
 _RESTS_ON = ("mains_m3", "wet_discharge_m3", KEPT, "discharge_m3", LOST)
-_OF_TARGETS = (*MAIN, LOST, "stress_hours")
+_OF_TARGETS = (*plans.MAIN, LOST, "stress_hours")
 _COMPARED = ("wet_discharge_m3", "discharge_m3", "retention_share", "overflow_days")
 # The peaks that are shown (min).
 _PEAK_MIN = 5
@@ -82,7 +71,7 @@ class Sizes:
 
         The columns of the lowest and the highest value end in ``_min`` and ``_max``.
         """
-        return find_ranges(self.table_of_seasons, BY_DESIGN)
+        return find_ranges(self.table_of_seasons, plans.BY_DESIGN)
 
     @property
     def sentence(self) -> str:
@@ -111,7 +100,7 @@ class Sizes:
 
     def _compare(self) -> str:
         """Return what the recommended cistern does without its valve; empty without a valve."""
-        own = self.recommended._replace(outlet=NONE)
+        own = self.recommended._replace(outlet=plans.NONE)
         plain = self.table.filter(**own._asdict()).to_dicts()
         if not plain or own == self.recommended:
             return ""
@@ -139,13 +128,13 @@ class Sizes:
             ConfigurationError: if the directory contains anything else.
             OSError: if the directory cannot be written to.
         """
-        claim_output(Path(directory), PAGE, [TABLE])
+        claim_output(Path(directory), plans.PAGE, [TABLE])
         figures = [_draw_volumes(self), _draw_targets(self)]
         title = f"{_TITLE} {self.name}".strip()
         html = make_page(title, self.sentence, list_sections(self, figures))
         remarks = "".join(f"# {note}\n" for note in (*self.notes, *self.read))
         table = remarks + self.table_of_seasons.write_csv()
-        return write_output(Path(directory), PAGE, html, figures, {TABLE: table})
+        return write_output(Path(directory), plans.PAGE, html, figures, {TABLE: table})
 
 
 def list_sections(sizes: Sizes, figures: Sequence[Figure]) -> list[Section]:
@@ -153,7 +142,8 @@ def list_sections(sizes: Sizes, figures: Sequence[Figure]) -> list[Section]:
     own, site = sizes.recommended, sizes.site
     used = sizes.table_of_seasons.filter(**own._asdict())
     rain, on_roof, lost = used.select("rain_m3", "rain_roof_m3", LOST).mean().row(0)
-    losing = f"at most {100 * MAX_LOST:g} %" if lost <= MAX_LOST else "the smallest part"
+    most = plans.MAX_LOST
+    losing = f"at most {100 * most:g} %" if lost <= most else "the smallest part"
     first, *others = tabulate_volumes(sizes)
     return [
         Section("The recommendation", [
@@ -175,8 +165,6 @@ def list_sections(sizes: Sizes, figures: Sequence[Figure]) -> list[Section]:
         ]),
         Section("Compared with no green roof", [
             _tabulate_references(sizes), _tabulate_peaks(sizes),
-            "The return period of the m-th largest peak of n seasons is (n + 1) / m years "
-            "(Weibull's plotting position).",
         ]),
         Section("Pictures", figures),
         Section("What it rests on", [
@@ -216,7 +204,8 @@ def tabulate_volumes(sizes: Sizes) -> list[Table]:
 
 
 def _tabulate(
-    sizes: Sizes, caption: str, varied: str, table: polars.DataFrame, names: Sequence[str] = MAIN
+    sizes: Sizes, caption: str, varied: str, table: polars.DataFrame,
+    names: Sequence[str] = plans.MAIN,
 ) -> Table:
     """Return the table of designs that differ in a column, ``volume_m3`` or ``target_mm``."""
     shown = {name: SHOWN[name] for name in names}
@@ -239,7 +228,7 @@ def _tabulate_assumptions(sizes: Sizes) -> Table:
         [
             [row["assumption"], row["value"], *(write_range(row, *each) for each in shown.items()),
              f"{row['best_cistern_m3']:g}"]
-            for row in find_ranges(sizes.tested, BY_TEST).to_dicts()
+            for row in find_ranges(sizes.tested, plans.BY_TEST).to_dicts()
         ],
         frozenset({0}),
     )
@@ -268,7 +257,7 @@ def _tabulate_references(sizes: Sizes) -> Table:
 
 def _tabulate_peaks(sizes: Sizes) -> Table:
     """Return the table of the seasons' highest peaks by return period."""
-    return tabulate_peaks(f"The seasons' highest discharge over {_PEAK_MIN} min (L/s)", {
+    return tabulate_peaks(f"The seasons' highest discharge over {_PEAK_MIN} min", {
         str(case): rows[PEAKS[_PEAK_MIN]]
         for (case,), rows in _select_references(sizes).group_by("case", maintain_order=True)
     })
