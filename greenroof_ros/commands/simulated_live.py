@@ -94,10 +94,10 @@ def main() -> None:
             # What they print later is not shown, but must not fill the pipe and stop them.
             threading.Thread(target=deque, args=(devices.stdout, 0), daemon=True).start()
             print(f"the simulated devices are process {devices.pid}", flush=True)
-            from greenroof_ros.bringup import live
+            from greenroof_ros.live import live_site
 
             sys.argv = ["greenroof live", *others, *common, *own]
-            live.main()  # it exits
+            live_site.main()  # it exits
         sys.exit(devices.wait(_ENDING_S))  # it has printed why it cannot start
 
 
