@@ -163,6 +163,8 @@ class RoofPrediction:
         return np.asarray(np.maximum(ends - fades / added / 2, _MIN_LASTING))
 
 
+# --- observation ----------------------------------------------------------------------------------
+
 # If all readings over this time (s), and at least this many, differ from the prediction by more
 # than this (m) in the same direction, it is not noise but something unknown to the model: pumps
 # with another flow, a manual valve. With noise alone, however large, less than half is that far off

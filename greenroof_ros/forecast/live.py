@@ -184,6 +184,8 @@ class LiveForecast:
         return issue
 
 
+# --- from Open-Meteo ------------------------------------------------------------------------------
+
 OPEN_METEO = "open-meteo"
 """name of the service, given in place of a file of forecasts"""
 MAX_DAYS = 16

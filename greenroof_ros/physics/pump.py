@@ -97,6 +97,8 @@ def speed_for(p: PumpCurve, share: float, cistern_level: float) -> float:
     return max(math.sqrt(max(squared, 0.0)), math.ulp(0.0))
 
 
+# --- imperfections --------------------------------------------------------------------------------
+
 # Ticks whose noise is drawn together: one draw at a time takes ten times as long.
 _BLOCK = 4096
 # A time that is a whole number of ticks, apart from rounding, must not take another tick.

@@ -143,6 +143,8 @@ def _pack(*parts: records.McapRecord) -> bytes:
     return bytes(builder.end())
 
 
+# --- reading --------------------------------------------------------------------------------------
+
 _HEAD = struct.Struct("<BQ")  # a record's opcode and length
 _DATA_END_SIZE = _HEAD.size + 4
 _OPCODES = frozenset(map(int, Opcode))

@@ -256,6 +256,8 @@ def read_trajectory(path: Path) -> Trajectory:
     )
 
 
+# --- metrics of a recording -----------------------------------------------------------------------
+
 # A longer time without samples is a change of the clock; only its part of a day is counted (s).
 _CLOCK_GAP_S, _DAY_S = 366 * 86400, 86400
 _DISCHARGE = "discharge", "wet_discharge", "peak_discharge", "retention"

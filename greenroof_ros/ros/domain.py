@@ -240,6 +240,8 @@ def add_graph_arguments(parser: argparse.ArgumentParser, pump: str = "") -> None
         )
 
 
+# --- starting a graph -----------------------------------------------------------------------------
+
 # How long the watcher may take to end (s) before it is killed.
 _ENDING_S = 3.0
 # How often a watcher that has exited is started again, after which time, and how often it is

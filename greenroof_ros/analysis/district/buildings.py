@@ -155,6 +155,8 @@ def _draw(name: str, draw: Draw, count: int, seed: int) -> Values:
     return np.asarray(np.clip(drawn, low, high))  # rounding may exceed the limits
 
 
+# --- scenes ---------------------------------------------------------------------------------------
+
 METRICS = (
     "discharge_m3", "wet_discharge_m3", "overflow_m3", "pumped_m3", "mains_m3", "stress_hours"
 )
