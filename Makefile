@@ -69,22 +69,10 @@ study: $(FOR_STUDY)
 	    $(BIN)/python -m greenroof_ros report studies/paper && exit $$code
 
 # Without ARGS, this runs every test in six more processes than there are cores, since graphs
-# mostly wait. test/conftest.py decides which tests may run side by side. Tests that failed run once
-# more, one at a time and with pytest's explanations, because a busy machine exceeds the real-time
-# limits of a live site. A test that fails again has failed. Without pytest-xdist, a test's name
-# does not end in its group, so the group is removed from the names of the failed tests.
-FAILED := .pytest_cache/v/cache/lastfailed
+# mostly wait. test/conftest.py decides which tests may run side by side.
 test: $(FOR_TEST)
-ifeq ($(ARGS),)
-	@rm -f $(FAILED); $(BIN)/python -m pytest --numprocesses $$(($$(nproc) + 6)) --dist loadgroup \
-	    --no-loadscope-reorder --assert=plain; code=$$?; [ $$code -eq 1 ] || exit $$code; \
-	    echo "Running the failed tests once more, one at a time:"; \
-	    sed -i 's/@[^]@"]*": true/": true/' $(FAILED); \
-	    $(BIN)/python -m pytest --last-failed --last-failed-no-failures none --exitfirst && \
-	    ! grep true $(FAILED)
-else
-	@$(BIN)/python -m pytest $(ARGS)
-endif
+	@$(BIN)/python -m pytest $(or $(ARGS),--numprocesses $$(($$(nproc) + 6)) --dist loadgroup \
+	    --no-loadscope-reorder)
 
 # The next ROS 2 is in an environment of its own, where its wheels replace those of the extra [ros].
 KILTED := .venv-kilted

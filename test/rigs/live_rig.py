@@ -170,7 +170,7 @@ class PumpRig(Site):
 
     def stays_off(self, state: str) -> None:
         """Check that the node does not run the pump, in a state with a reason, as a pattern."""
-        self.command(0.5, lambda: re.match(state, self.state), state)
+        self.command(0.5, lambda: re.match(state, self.state) and self.flows[-1] == 0.0, state)
         before = len(self.flows)
         self.during(1.0)
         assert {*self.flows[before:]} <= {0.0} and re.match(state, self.state), self.state
