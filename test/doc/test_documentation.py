@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from doc_commands.blocks import fences
+from doc_commands import fences
 from places import CHECKOUT
 
 sys.path.append(str(CHECKOUT / "doc"))
