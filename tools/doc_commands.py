@@ -21,7 +21,6 @@ from typing import Any
 import yaml
 from places import CHECKOUT
 
-Notes = dict[str, dict[str, Any]]
 PAGES = [
     "README.md", "CONTRIBUTING.md",
     *sorted(
@@ -29,7 +28,7 @@ PAGES = [
         if not {"_build", "included"}.intersection(path.parts)
     ),
 ]
-NOTES: dict[str, Notes] = yaml.safe_load(
+NOTES: dict[str, dict[str, dict[str, Any]]] = yaml.safe_load(
     Path(__file__).with_suffix(".yaml").read_text(encoding="utf-8")
 )
 _FENCE = re.compile(r"^( *)```([^\n]*)\n(.*?)^\1```$", re.DOTALL | re.MULTILINE)
@@ -88,9 +87,9 @@ def fences(page: str) -> Iterator[tuple[int, str, str]]:
         )
 
 
-def script_of(page: str, notes: Notes) -> dict[int, str]:
+def script_of(page: str) -> dict[int, str]:
     """Return what a page runs: the commands by their lines on the page."""
-    script = {}
+    notes, script = NOTES.get(page, {}), {}
     for fence, language, text in fences(page):
         if language != "sh" or any(part in text for part in notes.get("not_run", ())):
             continue
