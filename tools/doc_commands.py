@@ -25,7 +25,7 @@ PAGES = [
     "README.md", "CONTRIBUTING.md",
     *sorted(
         str(path.relative_to(CHECKOUT)) for path in (CHECKOUT / "doc").rglob("*.md")
-        if not {"_build", "included"}.intersection(path.parts)
+        if "_build" not in path.parts
     ),
 ]
 NOTES: dict[str, dict[str, dict[str, Any]]] = yaml.safe_load(
