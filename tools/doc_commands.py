@@ -55,7 +55,7 @@ interrupt() {  # JOB: SIGINT, as by Ctrl-C; whether it then ends as it should
 
 never_ends() {  # PRINTS THEN_S SAYS_NOT COMMAND...
     local prints=$1 then_s=$2 says_not=$3 output failed="" job; shift 3
-    output=$(mktemp)
+    output=$(mktemp -p "$HOME")
     "$@" > "$output" 2>&1 &
     job=$!
     within 120 grep -qE -- "$prints" "$output" || failed="did not print $prints within 120 s"
