@@ -9,7 +9,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from doc_commands.blocks import fences
+from doc_commands import PAGES as NAMES
+from doc_commands import fences
 from places import CHECKOUT
 
 sys.path.append(str(CHECKOUT / "doc"))
@@ -19,10 +20,7 @@ import generate
 from greenroof_ros.live.devices.sensor_file import read_sensors
 
 DOC = CHECKOUT / "doc"
-PAGES = [
-    CHECKOUT / "README.md", CHECKOUT / "CONTRIBUTING.md",
-    *sorted(path for path in DOC.rglob("*.md") if "_build" not in path.parts),
-]
+PAGES = [CHECKOUT / page for page in NAMES]
 
 
 def name(path: Path) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from doc_commands.blocks import fences
+from doc_commands import fences
 from places import CHECKOUT
 
 

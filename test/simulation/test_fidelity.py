@@ -51,7 +51,7 @@ def test_each_of_the_papers_runs(papers: Path, row: dict[str, str]) -> None:
     mine, ticks = run_of(papers, row["initial"], row["controller"], row["parameter"])
     assert len(ticks.command) == 43201
     for name, tolerance in (
-        ("total_deviation_m3", {"rel": 5e-5}),
+        ("total_deviation_m3", {"rel": 4e-5}),  # "within 0.004 %" in README
         ("final_cistern_m3", {"abs": VOLUME}),
         ("final_roof_m3", {"abs": VOLUME}),
     ):

@@ -21,7 +21,7 @@ sys.path[:0] = [str(Path(__file__).resolve().parents[1])]
 import paths
 from brokers import mosquitto
 from browsers import started_browser
-from doc_commands.blocks import fences
+from doc_commands import fences
 from graphs import Process, bag_file, free_ports, reserved_domain, wait_for
 from ros_rig import write_forecast
 from simulators import Simulator
