@@ -136,15 +136,10 @@ def test_places(
 
 
 @pytest.mark.parametrize(("key", "options"), [
-    ("--catchment, --cistern, --place", GIVEN[:2]),
-    *((options[0].strip("-"), (*GIVEN, *options)) for options in (
-        ("--roof", "12,5"), ("--cistern", "5m3"), ("--substrate", "moss"), ("--output", "site.txt"),
-        ("--substrate-depth", "10"), ("--output", "none/my_site.yaml"),
-    )),
-    *(("--place", (*GIVEN[:-1], place)) for place in (
-        "91,0", "43,63,-79,40", "43.63", "43.63,-181", "nan,0", "Toronto", "-79.40,43.63",
-    )),
-    ("time_zone = 'Mars'", (*GIVEN, "--time-zone", "Mars")),
+    ("--catchment, --cistern, --place", GIVEN[:2]), ("--roof", (*GIVEN, "--roof", "12,5")),
+    ("--output", (*GIVEN, "--output", "none/my_site.yaml")),
+    ("time_zone", (*GIVEN, "--time-zone", "Mars")),
+    *(("--place", (*GIVEN[:-1], place)) for place in ("91,0", "43,63,-79,40", "-79.40,43.63")),
 ])
 def test_bad_answers(tmp_path: Path, options: tuple[str, ...], key: str) -> None:
     """Exit code 2, a line, and no file."""

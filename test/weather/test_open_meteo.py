@@ -65,23 +65,16 @@ def test_downloads_join_without_a_gap(tmp_path: Path) -> None:
     ]
 
 
-@pytest.mark.parametrize(
-    ("keys", "value", "reason"),
-    [
-        (("latitude",), 44.2, "latitude = 44.2: must be within 0.5 degrees of the site's latitude"),
-        (("longitude",), 279.0, "longitude = 279.0: must be a number from -180 to 180 degrees"),
-        (("hourly", "precipitation"), [0.1], "hourly.precipitation: must be a list with one value"),
-        (("hourly", "time"), 5, "hourly.time: must be a list with one value for each time"),
-        (("hourly", "precipitation"), ["a"] * 6, "row 0: precipitation = 'a': must be a number"),
-        (("hourly", "temperature_2m"), [99] * 6, "row 0: temperature_2m = '99': must be a number"),
-        (("hourly_units", "temperature_2m"), "m", "'temperature_2m': the unit of temperature must"),
-        (("hourly", "time"), ["2021-07-07T10:00"] * 6, "row 1: time = '2021-07-07T10:00'"),
-        (("hourly", "time"), ["noon"] * 6, "row 0: time = 'noon': must be a time"),
-        (("utc_offset_seconds",), "x", "utc_offset_seconds = 'x': must be a number"),
-        (("hourly",), {"time": ["2021-07-07T10:00"]}, "hourly: must contain precipitation"),
-        (("hourly",), None, "must be an answer of Open-Meteo for a single location, with hourly"),
-    ],
-)
+@pytest.mark.parametrize(("keys", "value", "reason"), [
+    (("latitude",), 44.2, "latitude = 44.2: must be within 0.5 degrees"),
+    (("longitude",), 279.0, "longitude = 279.0"),
+    (("hourly", "precipitation"), [0.1], "hourly.precipitation"),
+    (("hourly", "precipitation"), ["a"] * 6, "row 0: precipitation = 'a'"),
+    (("hourly_units", "temperature_2m"), "m", "'temperature_2m': the unit"),
+    (("hourly", "time"), ["2021-07-07T10:00"] * 6, "row 1: time = '2021-07-07T10:00'"),
+    (("hourly",), {"time": ["2021-07-07T10:00"]}, "hourly: must contain precipitation"),
+    (("hourly",), None, "hourly"),
+])
 def test_refused_answers(tmp_path: Path, keys: tuple[str, ...], value: Any, reason: str) -> None:
     content = answer()
     place = content
