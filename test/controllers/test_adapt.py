@@ -92,32 +92,23 @@ def test_the_time_in_the_sites_zone() -> None:
     assert Timed.seen[0].isoformat() == "2021-07-07T03:00:00-04:00"
 
 
-def test_a_class_may_return_both_commands() -> None:
-    """If it commands the valve."""
-    site = gr.read_site(**VALVE)
-    ticks = gr.simulate(Both, site=site, hours=0.1).ticks
-    assert {*ticks.outlet} == {0.25} and {*ticks.command} == {0.5}
-    refusal(lambda: gr.simulate(Pair, hours=0.1), match="command of Pair = .0.5, 0.25.: must be")
-
-
-def test_a_function_may_return_both_commands() -> None:
-    """None leaves the valve to its policy."""
-    site = gr.read_site(**VALVE)
-    ticks = gr.simulate(lambda state, forecast: (0.5, 0.25), site=site, hours=0.1).ticks
-    assert {*ticks.outlet} == {0.25} and {*ticks.command} == {0.5}
-    inputs = {"site": site, "start": "2021-07-07T12:00", "hours": 1, "outlet": "drain"}
+def test_a_controller_may_return_both_commands() -> None:
+    """A class if it commands the valve; of a function, None leaves the valve to its policy."""
+    inputs = {"site": gr.read_site(**VALVE), "start": "2021-07-07T12:00", "hours": 1}
+    for kind in (Both, lambda state, forecast: (0.5, 0.25)):
+        ticks = gr.simulate(kind, **inputs).ticks
+        assert {*ticks.outlet} == {0.25} and {*ticks.command} == {0.5}
     alone, none = (
-        gr.simulate(lambda state, forecast, given=given: given, **inputs).ticks
+        gr.simulate(lambda state, forecast, given=given: given, outlet="drain", **inputs).ticks
         for given in (0.5, (0.5, None))
     )
     assert alone.outlet.tolist() == none.outlet.tolist() and alone.outlet.any()
-    for given, reason in (
-        ((0.5, 1.5), "the opening of the valve of lambda = 1.5: must be a number from 0 to 1"),
-        ((1.5, 0.5), "the command of lambda = 1.5: must be a number from 0 to 1"),
+    for kind, reason in (
+        (Pair, "command of Pair = .0.5, 0.25.: must be"),
+        (lambda state, forecast: (0.5, 1.5), "the opening of the valve of lambda = 1.5"),
+        (lambda state, forecast: (1.5, 0.5), "the command of lambda = 1.5"),
     ):
-        refusal(
-            lambda given=given: gr.simulate(lambda state, forecast: given, **inputs), match=reason
-        )
+        refusal(lambda kind=kind: gr.simulate(kind, **inputs), match=reason)
     refusal(
         lambda: gr.simulate(lambda state, forecast: (0.5, 0.5), hours=0.1),
         match="outlet = 0.5: needs a site with a valve",

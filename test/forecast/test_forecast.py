@@ -331,18 +331,6 @@ def test_end_of_the_records() -> None:
         assert run.forecast.notes == notes
 
 
-def test_the_earliest_end_of_a_forecast_is_noted() -> None:
-    start, weather = MIDNIGHT.replace(hour=2), weather_of([0.1] * 40)
-    own = [issue_of(start + n * HOUR, np.zeros((1, hours))) for n, hours in ((0, 2), (3, 1))]
-    series = WeatherSeries(weather, PAPER_SITE, start, 5 * 3600)
-    forecast = SteppedForecast(
-        FileModel(own, weather, False), weather, series, PAPER_SITE, start, growing_steps(1.0)
-    )
-    assert forecast.notes == [
-        "a forecast ends at 2021-07-07T04:00+00:00; later values are assumed"
-    ]
-
-
 def test_choices(tmp_path: Path) -> None:
     """Names and their options; files by their suffix, directories if they exist or by a slash."""
     for text in ("a.csv", "a.JSON", "b/a.json", "later/", str(tmp_path)):
