@@ -73,15 +73,12 @@ def test_wrong_files(tmp_path: Path, text: str, wrong: str) -> None:
         find_controller("onoff").read_parameters(tmp_path / "mine.yaml")
 
 
-@pytest.mark.parametrize(
-    ("reference", "message"),
-    [
-        ("onof", "is unknown; did you mean onoff"), ("a b:C", "must be of the form"),
-        ("package:Plant", "the node would have the same name as another node, plant"),
-        ("package:RainGauge", "the node would have the same name as another node, rain_gauge"),
-        ("package:Mpc", "the node would have the same name as another node, mpc"),
-    ],
-)
+@pytest.mark.parametrize(("reference", "message"), [
+    ("onof", "is unknown; did you mean onoff"), ("a b:C", "must be of the form"),
+    ("package:Plant", "the node would have the same name as another node, plant"),
+    ("package:RainGauge", "the node would have the same name as another node, rain_gauge"),
+    ("package:Mpc", "the node would have the same name as another node, mpc"),
+])
 def test_wrong_references(reference: str, message: str) -> None:
     """They are refused before anything is imported."""
     with pytest.raises(ConfigurationError, match=f"controller = '{reference}': {message}"):
@@ -94,17 +91,14 @@ def test_a_node_is_named_after_the_class() -> None:
         assert find_controller(f"package.module:{class_name}").name == node
 
 
-@pytest.mark.parametrize(
-    ("code", "message"),
-    [
-        ("1 / 0", "cannot be imported: ZeroDivisionError: division by zero"),
-        ("class Mine: pass", "is not a controller: it lacks parameters, command"),
-        (
-            "class Mine:\n parameters = (1,)\n def command(self): pass\n def skip(self): pass\n"
-            " def statistics(self): pass", "is not a controller: it lacks a tuple of Parameter",
-        ),
-    ],
-)
+@pytest.mark.parametrize(("code", "message"), [
+    ("1 / 0", "cannot be imported: ZeroDivisionError: division by zero"),
+    ("class Mine: pass", "is not a controller: it lacks parameters, command"),
+    (
+        "class Mine:\n parameters = (1,)\n def command(self): pass\n def skip(self): pass\n"
+        " def statistics(self): pass", "is not a controller: it lacks a tuple of Parameter",
+    ),
+])
 def test_classes_that_are_no_controllers(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, code: str, message: str
 ) -> None:

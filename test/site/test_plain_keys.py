@@ -48,16 +48,14 @@ def test_what_plain_keys_stand_for(tmp_path: Path) -> None:
     assert read_site(written) == site
 
 
-@pytest.mark.parametrize(
-    ("given", "flow"), [
-        ({"irrigation_rate": 3}, 360.0),  # mm/h on 120 m2
-        ({"irrigation_rate": None, "pump_flow": 900}, 900.0),
-        ({"irrigation_rate": None, "emitters": 150, "emitter_flow": 2.3}, 345.0),
-        # From 1 to 1e6 l/h, with high cisterns and with long, narrow pipes to high roofs.
-        ({"irrigation_rate": None, "pump_flow": 1, "cistern_height": 50, "d": 66}, 1.0),
-        ({"irrigation_rate": None, "pump_flow": 1e6, "d": 300, "l": 1000, "D": 0.02}, 1e6),
-    ],
-)
+@pytest.mark.parametrize(("given", "flow"), [
+    ({"irrigation_rate": 3}, 360.0),  # mm/h on 120 m2
+    ({"irrigation_rate": None, "pump_flow": 900}, 900.0),
+    ({"irrigation_rate": None, "emitters": 150, "emitter_flow": 2.3}, 345.0),
+    # From 1 to 1e6 l/h, with high cisterns and with long, narrow pipes to high roofs.
+    ({"irrigation_rate": None, "pump_flow": 1, "cistern_height": 50, "d": 66}, 1.0),
+    ({"irrigation_rate": None, "pump_flow": 1e6, "d": 300, "l": 1000, "D": 0.02}, 1e6),
+])
 def test_a_constant_flow(tmp_path: Path, given: dict[str, object], flow: float) -> None:
     """At any level, within half a millionth for each metre, whatever pipe and lift are."""
     site = read_site(house(tmp_path / "house.yaml", **given))

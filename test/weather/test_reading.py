@@ -173,12 +173,9 @@ def test_what_cannot_be_joined(tmp_path: Path) -> None:
 
     early = own_csv("2021-07-01T00:00")
     for late, reason in (
-        (own_csv("2021-07-01T02:00", "lysimeter"),
-         f"must have the same method of evapotranspiration as {early}, published; it has lysimet"),
-        (own_csv("2021-07-01T01:00"),
-         f"precipitation at 2021-07-01T01:00-05:00: is also in {early}: files must not overlap"),
-        (JULY, f"must have the same quantities as {early}, evapotranspiration, precipitation; it "
-         "has dew point, precipitation, station pressure, temperature, wind speed"),
+        (own_csv("2021-07-01T02:00", "lysimeter"), "must have the same method"),
+        (own_csv("2021-07-01T01:00"), "precipitation at 2021-07-01T01:00-05:00"),
+        (JULY, "must have the same quantities"),
     ):
         assert refusal(read_weather, [early, late], TORONTO).startswith(f"{late}: {reason}")
 

@@ -73,14 +73,11 @@ MISTAKES = {
     "mm in 5 min as mm/h": (scaled("precipitation", 1 / 12), "mean of wet hours"),
     "inches as mm": (scaled("precipitation", 1 / 25.4), "mean of wet hours"),
     "mm/h as mm in 5 min": (scaled("precipitation", 12), "mean of wet hours"),
-    "tenths of a mm": (scaled("precipitation", 10), "mean of wet hours"),
-    "cm": (scaled("precipitation", 0.1), "mean of wet hours"),
     "a running total": (
         lambda values: {"precipitation": np.nancumsum(values["precipitation"])}, "wet hours",
     ),
     "kW/m2": (scaled("solar radiation", 1e-3), "clearest hour"),
     "MJ/m2": (scaled("solar radiation", 3.6e-3), "clearest hour"),
-    "J/cm2": (scaled("solar radiation", 0.36), "clearest hour"),
     "daily means": (lambda values: {"solar radiation": np.repeat(
         values["solar radiation"].reshape(-1, 24).mean(axis=1), 24)}, "radiation at night"),
     "degF": (scaled("temperature", 1.8, 32), "mean temperature"),
@@ -102,11 +99,9 @@ def test_mistakes_are_noted(name: str) -> None:
     assert any(note.startswith(statistic) for note in notes)
 
 
-@pytest.mark.parametrize(
-    ("hours", "statistic"),
-    [(5, "middle of the sun"), (-5, "middle of the sun"), (1, "middle of the sun"),
-     (-1, "middle of the sun"), (7, "warmest hour"), (-6, "warmest hour")],
-)
+@pytest.mark.parametrize(("hours", "statistic"), [
+    (-5, "middle of the sun"), (1, "middle of the sun"), (7, "warmest hour"),
+])
 def test_wrong_clocks_are_noted(hours: int, statistic: str) -> None:
     """UTC for local time, local time for UTC, daylight saving time, the end for the start."""
     records = season()
