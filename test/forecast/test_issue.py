@@ -98,10 +98,12 @@ def test_own_forecasts(tmp_path: Path) -> None:
         for issued in (0, 6) for member, values in enumerate((["1", "", "3"], ["1", "0", "0"]))
         for hour, rain in enumerate(values)
     ]
+    rows[6:] = sorted(rows[6:])  # hour by hour; those of the first issue are one after the other
     file = tmp_path / "own.csv"
-    file.write_text("\n".join([header, *rows]))
+    text = "\n".join([header, *rows])
+    file.write_text(text.replace("2021-07-07T01:00Z", "2021-07-06T20:00-05:00"))
     issues = read_forecasts(file)
-    assert issues[0].rain.tolist() == [[1.0, 2.0, 3.0], [1.0, 0.0, 0.0]]
+    assert [issue.rain.tolist() for issue in issues] == 2 * [[[1.0, 2.0, 3.0], [1.0, 0.0, 0.0]]]
     assert "1 missing hours of precipitation" in issues[0].notes[0]
     (tmp_path / "again.csv").write_text(write_forecasts(issues))
     again = read_forecasts(tmp_path / "again.csv")

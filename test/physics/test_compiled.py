@@ -31,7 +31,7 @@ pytestmark = pytest.mark.skipif(not can_compile(), reason="numba is not installe
 CATCHMENT = read_site(CONFIG / "site_catchment.yaml")
 
 
-@settings(max_examples=400)
+@settings(max_examples=200)
 @given(
     site=ANY_SITE, tau=st.sampled_from([0.5, 1.0, 10.0, 60.0, 300.0, 3600.0]),
     state=st.tuples(st.floats(0, 1.3), st.floats(0, 1.2), st.floats(0, 1)),

@@ -148,19 +148,6 @@ DWD_WIND = (
     "       1219;2024060101;    3;   2.5; 230;eor\n"
     "       1219;2024060102;    3;   5.0; 240;eor\n"
 )
-FRENCH_NAMES = {
-    "Station Name": "Nom de la Station", "Climate ID": "ID climatologique",
-    "Date/Time (LST)": "Date/Heure (HNL)", "Temp Flag": "Temp Indicateur",
-    "Dew Point Temp (°C)": "Point de rosée (°C)",
-    "Dew Point Temp Flag": "Point de rosée Indicateur",
-    "Precip. Amount (mm)": "Hauteur de précip. (mm)",
-    "Precip. Amount Flag": "Hauteur de précip. Indicateur",
-    "Wind Spd (km/h)": "Vit. du vent (km/h)", "Wind Spd Flag": "Vit. du vent Indicateur",
-    "Stn Press (kPa)": "Pression à la station (kPa)",
-    "Stn Press Flag": "Pression à la station Indicateur",
-}
-
-
 def test_hours_of_dwd(tmp_path: Path) -> None:
     """R1 of 01 UTC is the rain from midnight on, and TT_TU the temperature at its time."""
     rain, air, wind = (tmp_path / f"produkt_{name}_stunde_1.txt" for name in ("rr", "tu", "ff"))
@@ -180,8 +167,8 @@ def test_hours_of_dwd(tmp_path: Path) -> None:
     assert both.values["dew point"][1] == pytest.approx(10.0)
 
 
-def test_hours_of_environment_canada(tmp_path: Path) -> None:
-    """July 2021, as in the service's file: flags, short rows, and the same in French."""
+def test_hours_of_environment_canada() -> None:
+    """July 2021, as in the service's file: flags and short rows."""
     file = DATA / "en_climate_hourly_07-2021.csv"
     records = read_measured([file], SITE)
     assert records.first.isoformat() == "2021-07-01T00:00:00-05:00" and records.rain_late == 1
@@ -191,15 +178,6 @@ def test_hours_of_environment_canada(tmp_path: Path) -> None:
     place = header.index("Precip. Amount (mm)")
     total = sum(float(row[place] or 0) for row in rows if len(row) > place)
     assert np.nansum(records.values["precipitation"]) == pytest.approx(total)
-    french = tmp_path / "fr.csv"
-    with french.open("w", encoding="utf-8-sig", newline="") as stream:
-        csv.writer(stream).writerows([
-            [FRENCH_NAMES.get(name, name) for name in header],
-            *(row[:9] + [cell.replace(".", ",") for cell in row[9:]] for row in rows),
-        ])
-    again = read_measured([french], SITE)
-    for name, series in records.values.items():
-        assert again.values[name].tobytes() == series.tobytes()
 
 
 def test_a_value_beside_the_flag_of_a_missing_one(tmp_path: Path) -> None:
@@ -235,17 +213,3 @@ def test_stated_rows_come_before_those_of_a_comment(tmp_path: Path) -> None:
     (tmp_path / "a.yaml").write_text("file: a.csv\nrows: start\n")
     for file, first in (("a.csv", 0), ("a.yaml", 1)):
         assert read_measured([tmp_path / file], SITE).first.hour == first
-
-
-def test_rain_of_hours_known_in_part_is_told(tmp_path: Path) -> None:
-    """12 rows of 1 mm an hour: 3 missing ones add 3 mm, and 8 of the first hour are left out."""
-    rows = [
-        f"2024-07-01T{hour:02}:{minute:02}-05:00,1\n" for hour in range(4)
-        for minute in range(0, 60, 5) if (hour, minute) >= (0, 20) and (hour != 2 or minute >= 15)
-    ]
-    (tmp_path / "a.csv").write_text("time,rain [mm]\n" + "".join(rows))
-    records = read_measured([tmp_path / "a.csv"], SITE)
-    assert records.values["precipitation"].tolist() == [12.0] * 3
-    out, added = records.left_out
-    assert out.startswith("8 mm of rain in the first or last hour are left out")
-    assert added.startswith("3 mm of rain are added")

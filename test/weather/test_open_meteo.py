@@ -16,7 +16,7 @@ from greenroof_ros.weather.read import read_measured
 TORONTO = read_site(CONFIG / "site.yaml")
 
 
-def answer(first: int = 10, **changes: Any) -> dict[str, Any]:
+def answer() -> dict[str, Any]:
     """Return six hours: rain 0.1, 0.2, ... mm and radiation 100, 110, ... W/m2 in the hour before.
 
     Temperature, 20, 20.5, ... degC, is that at the time.
@@ -29,20 +29,19 @@ def answer(first: int = 10, **changes: Any) -> dict[str, Any]:
             "relative_humidity_2m": "%",
         },
         "hourly": {
-            "time": [f"2021-07-07T{first + hour}:00" for hour in hours],
-            "precipitation": [(first - 9 + hour) / 10 for hour in hours],
+            "time": [f"2021-07-07T{10 + hour}:00" for hour in hours],
+            "precipitation": [(1 + hour) / 10 for hour in hours],
             "temperature_2m": [20 + hour / 2 for hour in hours],
             "shortwave_radiation": [100 + 10 * hour for hour in hours],
             "relative_humidity_2m": 6 * [100],
-        }, **changes,
+        },
     }
 
 
-def read(directory: Path, *contents: dict[str, Any]) -> Any:
-    files = [directory / f"{number}.json" for number in range(len(contents))]
-    for file, content in zip(files, contents, strict=True):
-        file.write_text(json.dumps(content))
-    return read_measured(files, TORONTO)
+def read(directory: Path, content: dict[str, Any]) -> Any:
+    file = directory / "answer.json"
+    file.write_text(json.dumps(content))
+    return read_measured([file], TORONTO)
 
 
 def test_rain_and_radiation_are_of_the_hour_before(tmp_path: Path) -> None:
@@ -54,15 +53,6 @@ def test_rain_and_radiation_are_of_the_hour_before(tmp_path: Path) -> None:
     assert records.values["temperature"].tolist() == [20, 20.5, 21, 21.5, 22]
     assert records.values["dew point"].tolist() == pytest.approx([20, 20.5, 21, 21.5, 22])
     assert records.rain_kind == "reanalysis" and records.wind_height == 10
-
-
-def test_downloads_join_without_a_gap(tmp_path: Path) -> None:
-    """Of hours 10 to 15 and 16 to 21; the first hour and the last are known only in part."""
-    records = read(tmp_path, answer(16), answer(10))
-    assert records.hours == 11
-    assert records.values["precipitation"].tolist() == [
-        pytest.approx(tenths / 10) for tenths in range(2, 13)
-    ]
 
 
 @pytest.mark.parametrize(("keys", "value", "reason"), [

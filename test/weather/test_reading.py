@@ -107,6 +107,9 @@ def test_rows_of_a_logger_add_up_to_hours(tmp_path: Path) -> None:
     weather = read_weather([path], TORONTO)
     assert weather.first.isoformat() == "2021-07-07T15:00:00-05:00"
     assert weather.precipitation.tolist() == [1.2, 1.2]
+    # 0.1 mm in each of eight rows before, 0.2 mm after; three missing rows have the mean of nine.
+    out, added = weather.left_out[:2]
+    assert out.startswith("2.4 mm of rain") and added.startswith("0.3 mm of rain")
     assert weather.values["temperature"].tolist() == [13.5, 24.0]
     begun = (f"2021-07-07T18:0{minute}-05:00,0.2,5" for minute in (0, 5))
     later = write(tmp_path / "later.csv", header, *begun)
