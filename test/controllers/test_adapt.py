@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
+import os
 import warnings
 from array import array
 from typing import Any
 
 import numpy as np
 import pytest
+from commands import run_command
 from numpy.typing import NDArray
 from paper import VALVE
 from refusals import refusal
@@ -132,8 +132,5 @@ def test_check_controller_takes_a_site_with_a_valve(tmp_path: Any) -> None:
         "    def command(self, cistern, roof, rain, evaporated):\n"
         "        return 0.0, 1.0\n"
     )
-    done = subprocess.run(
-        [sys.executable, "-m", "greenroof_ros", "check-controller", "needs:Needs"], cwd=tmp_path,
-        capture_output=True, text=True,
-    )
+    done = run_command("check_controller", "needs:Needs", cwd=tmp_path, env={**os.environ})
     assert done.returncode == 0 and "12 of 12 checks passed" in done.stdout, done.stderr

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import shutil
 from datetime import datetime, timedelta
 from pathlib import Path
 
@@ -21,20 +22,12 @@ from greenroof_ros.weather.read import read_file, read_measured, write_plain
 from greenroof_ros.weather.table import read_rows
 
 SITE = read_site(CONFIG / "site.yaml")
-TIMES = [datetime(2024, 7, 1) + timedelta(minutes=5 * n) for n in range(36)]  # noqa: DTZ001
-
-GERMAN = (
-    "Station: Klärwerk Süd\nMessgröße: Niederschlag\nZeitbezug: MEZ/MESZ\n\n"
-    "Datum;Uhrzeit;Niederschlag [mm];Lufttemperatur [°C];Qualität\n"
-) + "".join(
-    f"{time:%d.%m.%Y;%H:%M};{'0,4' if n == 20 else '0,0'};18,{n % 10};gut\n"
-    for n, time in enumerate(TIMES)
-)
+MAKERS = DATA / "makers"
 
 
 def test_a_description_takes_two_edits(tmp_path: Path) -> None:
     """The rows end at their times, on the clock of Berlin; the rain is in the row of 01:40."""
-    (tmp_path / "gauge.csv").write_bytes(GERMAN.encode("cp1252"))
+    shutil.copy(MAKERS / "german_gauge.csv", tmp_path / "gauge.csv")
     printed = describe(tmp_path / "gauge.csv")
     assert printed.count("'?'") == 2
     description = tmp_path / "gauge.yaml"
@@ -67,13 +60,13 @@ def test_what_cannot_be_described(tmp_path: Path, text: str) -> None:
     assert "gauge.csv" in refusal(describe, tmp_path / "gauge.csv")
 
 
-MAKERS = read_yaml(DATA / "makers" / "makers.yaml")
+FORMATS = read_yaml(MAKERS / "makers.yaml")
 
 
-@pytest.mark.parametrize("name", MAKERS)
+@pytest.mark.parametrize("name", FORMATS)
 def test_exports_of_makers_and_services(name: str) -> None:
     """What --describe leaves open is decided as in makers.yaml, which has the expected values."""
-    file, about = DATA / "makers" / name, MAKERS[name]
+    file, about = MAKERS / name, FORMATS[name]
     if "decided" not in about:
         (rows,) = read_file(file, SITE)
     else:
@@ -121,39 +114,18 @@ def _values(value: object) -> list[object]:
 def test_wrong_descriptions(tmp_path: Path, text: str, wrong: str) -> None:
     """Keys that have no effect or are for something else; their types are tested with all files."""
     (tmp_path / "a.csv").write_text("t,r\n2024-06-01T00:00,0\n2024-06-01T01:00,0\n")
-    (tmp_path / "dwd.txt").write_text(DWD_RAIN)
-    (tmp_path / "dwd_2.txt").write_text(f"# step: 60\n{DWD_RAIN}")
+    dwd = (MAKERS / "produkt_rr_stunde.txt").read_text()
+    (tmp_path / "dwd.txt").write_text(dwd)
+    (tmp_path / "dwd_2.txt").write_text(f"# step: 60\n{dwd}")
     (tmp_path / "a.yaml").write_text(text)
     assert wrong in refusal(read_measured, [tmp_path / "a.yaml"], SITE)
 
 
 # --- services -------------------------------------------------------------------------------------
 
-# The first lines of files as the services write them, and the rain, temperature and start by hand.
-DWD_RAIN = (
-    "STATIONS_ID;MESS_DATUM;QN_8;  R1;RS_IND;WRTR;eor\n"
-    "       1219;2024060100;    3;   0.0;   0;-999;eor\n"
-    "       1219;2024060101;    3;   1.5;   1;   6;eor\n"
-    "       1219;2024060102;    3;  -999;-999;-999;eor\n"
-    "       1219;2024060103;    3;   0.2;   1;   6;eor\n"
-)
-DWD_AIR = (
-    "STATIONS_ID;MESS_DATUM;QN_9;TT_TU;RF_TU;eor\n"
-    "       1219;2024060100;    3;  10.0; 100.0;eor\n"
-    "       1219;2024060101;    3;  11.0;  90.0;eor\n"
-    "       1219;2024060102;    3;  12.0;  80.0;eor\n"
-)
-DWD_WIND = (
-    "STATIONS_ID;MESS_DATUM;QN_3;   F;   D;eor\n"
-    "       1219;2024060101;    3;   2.5; 230;eor\n"
-    "       1219;2024060102;    3;   5.0; 240;eor\n"
-)
-def test_hours_of_dwd(tmp_path: Path) -> None:
+def test_hours_of_dwd() -> None:
     """R1 of 01 UTC is the rain from midnight on, and TT_TU the temperature at its time."""
-    rain, air, wind = (tmp_path / f"produkt_{name}_stunde_1.txt" for name in ("rr", "tu", "ff"))
-    rain.write_text(DWD_RAIN)
-    air.write_text(DWD_AIR)
-    wind.write_text(DWD_WIND)
+    rain, air, wind = (MAKERS / f"produkt_{name}_stunde.txt" for name in ("rr", "tu", "ff"))
     alone = read_measured([rain], SITE)
     assert alone.first.isoformat() == "2024-05-31T23:00:00+00:00"
     both = read_measured([air, rain, wind], SITE)
