@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import os
 import warnings
 from array import array
 from typing import Any
 
 import numpy as np
 import pytest
-from commands import run_command
 from numpy.typing import NDArray
 from paper import VALVE
 from refusals import refusal
@@ -119,18 +117,3 @@ def test_a_controller_may_return_both_commands() -> None:
 def test_the_checks_of_a_class_pass(name: str) -> None:
     site = gr.read_site(**VALVE) if name == "Both" else gr.read_site()
     assert not any(check_controller(find_controller(f"test_adapt:{name}"), site).values())
-
-
-def test_check_controller_takes_a_site_with_a_valve(tmp_path: Any) -> None:
-    """For a class that needs one."""
-    (tmp_path / "needs.py").write_text(
-        "class Needs:\n"
-        "    parameters = ()\n"
-        "    outlet = 0.0\n"
-        "    def __init__(self, site):\n"
-        "        assert site.low_outlet_valve\n"
-        "    def command(self, cistern, roof, rain, evaporated):\n"
-        "        return 0.0, 1.0\n"
-    )
-    done = run_command("check_controller", "needs:Needs", cwd=tmp_path, env={**os.environ})
-    assert done.returncode == 0 and "12 of 12 checks passed" in done.stdout, done.stderr

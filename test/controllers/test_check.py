@@ -73,14 +73,26 @@ def test_changed_controllers(
     assert any(rule in name for name in broken) if rule else not broken
 
 
+NEEDS_A_VALVE = """
+class Needs:
+    parameters = ()
+    outlet = 0.0
+    def __init__(self, site):
+        assert site.low_outlet_valve
+    def command(self, cistern, roof, rain, evaporated):
+        return 0.0, 1.0
+"""
+
+
 def test_the_command(tmp_path: Path) -> None:
-    """Exit code 0 if all is right, 1 if something is wrong, 2 if it cannot be imported."""
+    """Exit code 0 if all is right, also for a class that needs a valve, 1 if something is wrong."""
     (tmp_path / "broken.py").write_text(changed(TEXT, RETURNS, "return None"))
-    for reference, directory, code, message in (
-        (EXAMPLE, CHECKOUT, 0, "12 of 12 checks passed"),
-        ("broken:Proportional", tmp_path, 1, "must be a finite"),
-        ("nothing:Here", tmp_path, 2, ""),
+    (tmp_path / "needs.py").write_text(NEEDS_A_VALVE)
+    for reference, code, message in (
+        ("needs:Needs", 0, "12 of 12 checks passed"),
+        ("broken:Proportional", 1, "must be a finite"),
+        ("nothing:Here", 2, ""),
     ):
-        result = run_command("check_controller", reference, cwd=directory, env={**os.environ})
+        result = run_command("check_controller", reference, cwd=tmp_path, env={**os.environ})
         assert result.returncode == code, result.stderr
         assert message in result.stdout and "Traceback" not in result.stderr
