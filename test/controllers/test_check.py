@@ -90,8 +90,7 @@ def test_the_command(tmp_path: Path) -> None:
     (tmp_path / "needs.py").write_text(NEEDS_A_VALVE)
     for reference, code, message in (
         ("needs:Needs", 0, "12 of 12 checks passed"),
-        ("broken:Proportional", 1, "must be a finite"),
-        ("nothing:Here", 2, ""),
+        ("broken:Proportional", 1, "must be a finite"), ("nothing:Here", 2, ""),
     ):
         result = run_command("check_controller", reference, cwd=tmp_path, env={**os.environ})
         assert result.returncode == code, result.stderr
