@@ -52,9 +52,6 @@ def test_the_newest_waits_once_and_a_mistake_in_one_job_ends_no_other(
     assert "ValueError" in capfd.readouterr().err
 
 
-TOO_LONG_S = 60
-
-
 def test_what_finds_no_room_is_dropped_and_counted() -> None:
     """As soon as someone reads, what waited comes in order, and the next line tells the number."""
     with full_pipe() as (reading, writing):

@@ -92,7 +92,7 @@ def test_no_value_fills_a_message(tmp_path: Path, value: str) -> None:
 CONTROLS = '"\\x1b[31m\\r\u202e\u2066"'
 
 
-@pytest.mark.parametrize("text", [f"{CONTROLS}: 1", f"tau: {CONTROLS}", f"tau: !{CONTROLS}", "\33"])
+@pytest.mark.parametrize("text", [f"{CONTROLS}: 1", "\33"])
 def test_no_control_character_reaches_the_terminal(tmp_path: Path, text: str) -> None:
     """They would colour, overwrite or reorder what is printed. Names of files and options count."""
     file = tmp_path / "\33[31m\r\u202e\u2066.yaml"

@@ -1,17 +1,33 @@
-"""The one check of numbers: what is accepted, and the sentence about what is not."""
+"""The one check of values: what a range contains, and wrong values and keys of all files."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Iterable, Iterator
 from functools import partial
 from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, NamedTuple, get_args, get_origin
 
 import pytest
-from hypothesis import given
+import yaml
+from districts import DISTRICT
+from hypothesis import given, settings
 from hypothesis import strategies as st
+from places import CONFIG
 from refusals import refusal
 
+from greenroof_ros.analysis.district.file import District, read_district
+from greenroof_ros.base.errors import ConfigurationError
+from greenroof_ros.base.parameter import Parameter, parameters_of
 from greenroof_ros.base.ranges import Range
+from greenroof_ros.live.devices.sensor_file import Sensors, read_sensors
+from greenroof_ros.site.file import SITE_KEYS, read_site
+from greenroof_ros.weather.description import Description
+from greenroof_ros.weather.design_storm import DepthFile, read_depths
+from greenroof_ros.weather.read import read_measured
+
+SITE = read_site(CONFIG / "site.yaml")
 
 
 @pytest.mark.parametrize(("allowed", "wrong"), [
@@ -47,3 +63,67 @@ def test_a_whole_number_in_a_file(value: float) -> None:
     else:
         reason = refusal(read, value)
         assert reason.startswith(f"a.yaml, line 7: n = {value!r}: must be a whole number")
+
+
+# --- keys of files --------------------------------------------------------------------------------
+
+
+class Schema(NamedTuple):
+    """A kind of file: its keys, the values that a right one has at least, and its reader."""
+
+    keys: Iterable[Parameter]
+    least: dict[str, Any]
+    read: Callable[[Path], object]
+
+
+SCHEMAS = {
+    "site": Schema(SITE_KEYS.values(), {"extends": "site.yaml"}, read_site),
+    "weather": Schema(
+        parameters_of(Description), {"file": "a.csv"}, lambda file: read_measured([file], SITE)
+    ),
+    "district": Schema(parameters_of(District), yaml.safe_load(DISTRICT), read_district),
+    "depths": Schema(parameters_of(DepthFile), {"unit": "mm"}, read_depths),
+    "sensors": Schema(
+        parameters_of(Sensors), yaml.safe_load((CONFIG / "sensors.yaml").read_text()), read_sensors
+    ),
+}
+
+
+def wrong_values(key: Parameter) -> Iterator[Any]:
+    """Yield values that a key cannot have, by its range and type."""
+    kinds = {*get_args(key.kind), key.kind} if get_origin(key.kind) is not dict else set()
+    if tuple in (get_origin(kind) for kind in kinds):
+        yield {"a": 1}
+    elif kinds & {int, float}:
+        yield from (math.nan, "many", "5 m3", "5,5", True, [5], {"a": 1})
+        ends = math.nextafter(key.low, -math.inf), math.nextafter(key.high, math.inf)
+        yield from (end for end in ends if math.isfinite(end))
+        if key.whole:
+            yield key.low + 0.5
+    elif kinds & {bool, str}:
+        yield from ([1], {"a": 1}, *["neither"] * (bool in kinds or bool(key.among)))
+    else:
+        yield from (3, [1])
+
+
+CASES = [
+    (kind, key.name, wrong)
+    for kind, schema in SCHEMAS.items() for key in schema.keys for wrong in wrong_values(key)
+]
+
+
+@settings(max_examples=300)
+@given(st.sampled_from(CASES) | st.tuples(st.sampled_from([*SCHEMAS]), st.just("kee"), st.just(1)))
+def test_wrong_values_and_keys_of_all_files_are_named(case: tuple[str, str, Any]) -> None:
+    """With their file, line, key and value, before any other mistake."""
+    kind, name, wrong = case
+    with TemporaryDirectory() as directory:
+        file = Path(directory) / "own.yaml"
+        content = {**SCHEMAS[kind].least, name: wrong}
+        text = yaml.safe_dump(content, sort_keys=False)
+        file.write_text(text)
+        with pytest.raises(ConfigurationError) as caught:
+            SCHEMAS[kind].read(file)
+    line = 1 + [row.partition(":")[0] for row in text.splitlines()].index(name)
+    assert str(caught.value).startswith(f"{file}, line {line}: {name}")
+    assert str(caught.value.key).partition(".")[0] == name

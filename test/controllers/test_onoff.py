@@ -12,17 +12,14 @@ from greenroof_ros.controllers.onoff import OnOff
 NO_WEATHER = [0.0] * 10
 
 
-@pytest.mark.parametrize(
-    ("cistern", "roof", "pumps"),
-    [
-        (0.75, math.nextafter(0.0457, 0), True),
-        (0.75, 0.0457, False),
-        (math.nextafter(0.75, 0), 0.0, False),
-        (3.0, 0.0, True),
-        (math.nan, 0.0, False),
-        (3.0, math.nan, False),
-    ],
-)
+@pytest.mark.parametrize(("cistern", "roof", "pumps"), [
+    (0.75, math.nextafter(0.0457, 0), True),
+    (0.75, 0.0457, False),
+    (math.nextafter(0.75, 0), 0.0, False),
+    (3.0, 0.0, True),
+    (math.nan, 0.0, False),
+    (3.0, math.nan, False),
+])
 def test_thresholds(cistern: float, roof: float, pumps: bool) -> None:
     """v if x2/a2 < 0.0457 m and x1/a1 >= 0.15 + 0.6 m, else 0; 0 for NaN."""
     controller = OnOff(PAPER_SITE, 1.5)

@@ -61,51 +61,24 @@ def test_all_sections_of_a_node_count(tmp_path: Path) -> None:
     assert run.parameters == {"fraction": 0.5, "level": 0.7}
 
 
-@pytest.mark.parametrize(
-    ("name", "text", "message"),
-    [
-        (
-            "onoff", "mpc: {ros__parameters: {weight: 1.0}}\n",
-            r"must contain '/\*\*/onoff:' and, below it, 'ros__parameters:' for the node .*; it "
-            "contains mpc",
-        ),
-        (
-            "onoff", "onoff: {ros__parameters: {level_limit: 3.0}}\n",
-            r"level_limit: is not a parameter of onoff; set it with --node-parameters",
-        ),
-        (
-            "onoff", "/**/onoff:\n  ros__parameters:\n    weight: 1.0\n",
-            r"mine.yaml, line 3: weight: is not a parameter of onoff; choose from fraction",
-        ),
-        (
-            "onoff", "/**/onoff:\n  ros__parameters:\n    fraction: -1.0\n",
-            r"fraction = -1.0: must be a number greater than 0 and at most 1000000$",
-        ),
-        (
-            "lookahead", "lookahead: {ros__parameters: {days_after: 1.5}}\n",
-            r"days_after = 1\.5: must be a whole number from 0 to 10",
-        ),
-    ],
-)
-def test_wrong_files(tmp_path: Path, name: str, text: str, message: str) -> None:
-    """Each is refused with file, line, key and value."""
+@pytest.mark.parametrize(("text", "wrong"), [
+    ("mpc: {ros__parameters: {weight: 1.0}}\n", "onoff.*it contains mpc"),
+    ("onoff: {ros__parameters: {level_limit: 3.0}}\n", "level_limit: is not a parameter of onoff"),
+    ("/**/onoff:\n  ros__parameters:\n    weight: 1.0\n", "line 3: weight: is not a parameter"),
+    ("/**/onoff:\n  ros__parameters:\n    fraction: -1.0\n", "line 3: fraction = -1.0: "),
+])
+def test_wrong_files(tmp_path: Path, text: str, wrong: str) -> None:
     (tmp_path / "mine.yaml").write_text(text)
-    with pytest.raises(ConfigurationError, match=message):
-        find_controller(name).read_parameters(tmp_path / "mine.yaml")
+    with pytest.raises(ConfigurationError, match=f"mine.yaml.*{wrong}"):
+        find_controller("onoff").read_parameters(tmp_path / "mine.yaml")
 
 
-@pytest.mark.parametrize(
-    ("reference", "message"),
-    [
-        ("onof", r"is unknown; did you mean onoff\?$"),
-        ("pid", "must be one of mpc, onoff, anticipating_onoff, lookahead, or"),
-        ("a b:C", "must be of the form package.module:Class"),
-        ("package:Plant", "the node would have the same name as another node, plant"),
-        ("package:Station", "the node would have the same name as another node, station"),
-        ("package:RainGauge", "the node would have the same name as another node, rain_gauge"),
-        ("package:Mpc", "the node would have the same name as another node, mpc"),
-    ],
-)
+@pytest.mark.parametrize(("reference", "message"), [
+    ("onof", "is unknown; did you mean onoff"), ("a b:C", "must be of the form"),
+    ("package:Plant", "the node would have the same name as another node, plant"),
+    ("package:RainGauge", "the node would have the same name as another node, rain_gauge"),
+    ("package:Mpc", "the node would have the same name as another node, mpc"),
+])
 def test_wrong_references(reference: str, message: str) -> None:
     """They are refused before anything is imported."""
     with pytest.raises(ConfigurationError, match=f"controller = '{reference}': {message}"):
@@ -118,17 +91,14 @@ def test_a_node_is_named_after_the_class() -> None:
         assert find_controller(f"package.module:{class_name}").name == node
 
 
-@pytest.mark.parametrize(
-    ("code", "message"),
-    [
-        ("1 / 0", "cannot be imported: ZeroDivisionError: division by zero"),
-        ("class Mine: pass", "is not a controller: it lacks parameters, command"),
-        (
-            "class Mine:\n parameters = (1,)\n def command(self): pass\n def skip(self): pass\n"
-            " def statistics(self): pass", "is not a controller: it lacks a tuple of Parameter",
-        ),
-    ],
-)
+@pytest.mark.parametrize(("code", "message"), [
+    ("1 / 0", "cannot be imported: ZeroDivisionError: division by zero"),
+    ("class Mine: pass", "is not a controller: it lacks parameters, command"),
+    (
+        "class Mine:\n parameters = (1,)\n def command(self): pass\n def skip(self): pass\n"
+        " def statistics(self): pass", "is not a controller: it lacks a tuple of Parameter",
+    ),
+])
 def test_classes_that_are_no_controllers(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, code: str, message: str
 ) -> None:

@@ -6,7 +6,6 @@ import struct
 from dataclasses import replace
 from datetime import datetime, timedelta
 from pathlib import Path
-from unittest.mock import patch
 
 import numpy as np
 import pytest
@@ -18,11 +17,7 @@ from paper import MIDNIGHT, PAPER_SITE, paper_run, site_with, weather_of
 from refusals import refusal
 
 from greenroof_ros.forecast.choice import ForecastChoice, choose, read_skill
-from greenroof_ros.forecast.issue import (
-    IssuedForecast,
-    read_forecasts,
-    write_forecasts,
-)
+from greenroof_ros.forecast.issue import IssuedForecast, write_forecasts
 from greenroof_ros.forecast.models import (
     ErrorModel,
     FileModel,
@@ -176,19 +171,6 @@ def test_what_is_not_yet_recorded_is_not_forecast_without_skill(
     assert at_noon[0] == at_noon[1]
 
 
-def test_each_forecast_is_made_once() -> None:
-    """Nothing is forecast before the run, and one forecast is made in each of its hours."""
-    site, weather = site_with(tau=600.0), drawn(60)
-    series = WeatherSeries(weather, site, MIDNIGHT, 6 * 24)
-    model = ErrorModel(weather, 1, read_skill("real"))
-    with patch.object(model, "forecast", wraps=model.forecast) as made:
-        forecast = SteppedForecast(model, weather, series, site, MIDNIGHT, growing_steps(24.0))
-        assert not made.called
-        for tick in range(6 * 24):
-            both(forecast, tick)
-    assert [call.args[0] for call in made.call_args_list] == list(range(24))
-
-
 # --- issues ------------------------------------------------------------------------------------
 
 
@@ -248,21 +230,6 @@ def test_missing_rain_is_not_guessed() -> None:
 
 
 # --- files -------------------------------------------------------------------------------------
-
-
-def test_members_in_any_order(tmp_path: Path) -> None:
-    """Hour by hour, or one after the other; in any time zone."""
-    file = tmp_path / "archive.csv"
-    file.write_text("\n".join((
-        "issued,time,member,precipitation [mm/h]",
-        "2021-07-07T02:00Z,2021-07-07T02:00Z,0,0.5",
-        "2021-07-07T02:00Z,2021-07-07T02:00Z,1,1.5",
-        "2021-07-07T02:00Z,2021-07-06T22:00-05:00,1,3.5",
-        "2021-07-07T02:00Z,2021-07-06T22:00-05:00,0,2.5",
-    )))
-    (issue,) = read_forecasts(file)
-    assert issue.issued == MIDNIGHT.replace(hour=2)
-    assert issue.rain.tolist() == [[0.5, 2.5], [1.5, 3.5]]
 
 
 @pytest.mark.parametrize("evaporates", [True, False])
@@ -329,18 +296,6 @@ def test_end_of_the_records() -> None:
     ):
         run = paper_run(*options, "--hours", hours, "--horizon", "12", "--forecast", model)
         assert run.forecast.notes == notes
-
-
-def test_the_earliest_end_of_a_forecast_is_noted() -> None:
-    start, weather = MIDNIGHT.replace(hour=2), weather_of([0.1] * 40)
-    own = [issue_of(start + n * HOUR, np.zeros((1, hours))) for n, hours in ((0, 2), (3, 1))]
-    series = WeatherSeries(weather, PAPER_SITE, start, 5 * 3600)
-    forecast = SteppedForecast(
-        FileModel(own, weather, False), weather, series, PAPER_SITE, start, growing_steps(1.0)
-    )
-    assert forecast.notes == [
-        "a forecast ends at 2021-07-07T04:00+00:00; later values are assumed"
-    ]
 
 
 def test_choices(tmp_path: Path) -> None:

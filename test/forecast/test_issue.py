@@ -98,10 +98,12 @@ def test_own_forecasts(tmp_path: Path) -> None:
         for issued in (0, 6) for member, values in enumerate((["1", "", "3"], ["1", "0", "0"]))
         for hour, rain in enumerate(values)
     ]
+    rows[6:] = sorted(rows[6:])  # hour by hour; those of the first issue are one after the other
     file = tmp_path / "own.csv"
-    file.write_text("\n".join([header, *rows]))
+    text = "\n".join([header, *rows])
+    file.write_text(text.replace("2021-07-07T01:00Z", "2021-07-06T20:00-05:00"))
     issues = read_forecasts(file)
-    assert issues[0].rain.tolist() == [[1.0, 2.0, 3.0], [1.0, 0.0, 0.0]]
+    assert [issue.rain.tolist() for issue in issues] == 2 * [[[1.0, 2.0, 3.0], [1.0, 0.0, 0.0]]]
     assert "1 missing hours of precipitation" in issues[0].notes[0]
     (tmp_path / "again.csv").write_text(write_forecasts(issues))
     again = read_forecasts(tmp_path / "again.csv")
@@ -127,7 +129,6 @@ HEAD = KNMI.read_text().splitlines()[0]
 ROWS = ["2024-03-01 00:00:00,0.0,0.1,0.2,0.3,0.4", "2024-03-01 01:00:00,0.0,0.1,0.2,0.3,0.4"]
 OWN = "issued,time,precipitation [mm/h]\n2024-06-01T00:00Z,2024-06-01T00:00Z,0\n"
 WRONG = {
-    "cut.json": ('{"latitude": 42.25,\n"long', ": is not valid JSON, or is nested too deeply: "),
     "deep.json": ("[" * 200_000, ": is not valid JSON, or is nested too deeply: "),
     "refusal.json": (
         '{"error": true, "reason": "Daily API request limit exceeded."}',
@@ -135,15 +136,14 @@ WRONG = {
     ),
     "days.json": ('{"daily": {"time": ["2021-07-07"]}}', ": must be an answer of Open-Meteo"),
     "temperature.csv": (
-        "\n".join([HEAD.replace("precipitation", "temperature_2m"), *ROWS, ""]),
-        ", line 1: 'datetime': must begin with issued, or",
+        "\n".join([HEAD.replace("precipitation", "temperature_2m"), *ROWS]),
+        ", line 1: 'datetime'",
     ),
-    "half.csv": (
-        "\n".join([HEAD, *ROWS, "2024-03-01 01:30:00,0,0,0,0,0"]),
-        ", line 4: datetime = '2024-03-01 01:30:00': this row is 30 min after",
+    "half.csv": ("\n".join([HEAD, *ROWS, "2024-03-01 01:30:00,0,0,0,0,0"]), ", line 4: datetime"),
+    "word.csv": (
+        "\n".join([HEAD, ROWS[0].replace("0.1", "rain")]),
+        ", line 2: precipitation_previous_day2 = 'rain'",
     ),
-    "word.csv": ("\n".join([HEAD, ROWS[0].replace("0.1", "rain")]),
-                 ", line 2: precipitation_previous_day2 = 'rain'"),
     "hours.csv": (
         "\n".join([HEAD, *(f"2024-03-01 {hour:02}:00:00,0,0,0,0,0" for hour in range(2, 7))]),
         ": must contain a value for an hour that starts at 00, 06, 12 or 18 UTC",
@@ -154,9 +154,8 @@ WRONG = {
     ),
     "empty.csv": (OWN.replace(",0\n", ",\n"), ", line 2: lacks a value for the hour"),
     "early.csv": (
-        OWN.replace("issued,", "issued,available,").replace(
-            "Z,2024", "Z,2024-05-31T23:00Z,2024"
-        ), ", line 2: available = '2024-05-31T23:00Z': must not be before the time of issue",
+        OWN.replace("issued,", "issued,available,").replace("Z,2024", "Z,2024-05-31T23:00Z,2024"),
+        ", line 2: available = '2024-05-31T23:00Z': must not be before the time of issue",
     ),
     "negative.csv": (OWN.replace(",0\n", ",-1\n"), ", line 2: precipitation [mm/h] = '-1'"),
 }
@@ -164,24 +163,21 @@ WRONG = {
 
 @pytest.mark.parametrize("name", WRONG)
 def test_wrong_files(tmp_path: Path, name: str) -> None:
-    """Refused with the file, its line or key, the value and what would be right."""
-    text, reason = WRONG[name]
+    """Refused with the file, its line or key, and the value."""
+    text, place = WRONG[name]
     file = tmp_path / name
     file.write_text(text, encoding="utf-8")
-    assert refusal(read_archive, file, TORONTO).startswith(f"{file}{reason}")
+    assert refusal(read_archive, file, TORONTO).startswith(f"{file}{place}")
 
 
 def test_wrong_directories(tmp_path: Path) -> None:
     """An archive has one form and one kind, and no issue occurs twice."""
     refusal(read_archive, tmp_path, TORONTO, match="must contain forecast files")
     (tmp_path / "a.csv").write_text(OWN)
-    for name, text, wrong in (
-        ("b.csv", GEM.read_text(), r"b.csv, line 1: 'datetime': the column must be 'issued'"),
-        ("a.csv", GEM.read_text(), "b.csv, line 1: 'issued': must begin with issued, or"),
-    ):
+    for name in ("b.csv", "a.csv"):
         (tmp_path / "b.csv").write_text(OWN)
-        (tmp_path / name).write_text(text)
-        refusal(read_archive, tmp_path, TORONTO, match=wrong)
+        (tmp_path / name).write_text(GEM.read_text())
+        refusal(read_archive, tmp_path, TORONTO, match="b.csv, line 1: ")
     (tmp_path / "a.csv").write_text(OWN.replace(",0\n", ",1\n"))
     (tmp_path / "b.csv").write_text(OWN)
     (tmp_path / "README.md").write_text("# Forecasts")

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from forecast_service import started_service
+from http_service import WeatherService
 from paper import PAPER_SITE
 from refusals import refusal
 from ros_rig import (
@@ -261,7 +261,7 @@ def test_live_weather(site: Site) -> None:
 
 def test_live_weather_that_lacks_something_until_it_is_fetched(site: Site) -> None:
     """The reason is reported; without a forecast, unknown_frost_may_pump makes frost 0."""
-    service, disk = started_service("error"), site.cwd / "archive"
+    service, disk = WeatherService("error"), site.cwd / "archive"
     frost, forecast = site.listen("/weather/frost"), site.listen("/forecast/precipitation")
     part = "/weather: forecast service"
     options = {
@@ -276,7 +276,7 @@ def test_live_weather_that_lacks_something_until_it_is_fetched(site: Site) -> No
         )
         assert not forecast
     frost.clear()
-    service.fault = "none"
+    service.fault = ""
     with site.live("weather", **options):
         site.until(lambda: len(forecast) > 3, LATE, "a forecast")
         follow(

@@ -154,7 +154,7 @@ CASES = [
     # into the cistern and leave it in the same tick.
     *(
         (volume, {"drainage_to_cistern": kept, **VALVE}, filled, valve)
-        for volume in (1.0, 2.0, 5.0, 20.0, 75.0) for kept in (0.0, 0.5, 1.0)
+        for volume in (2.0, 75.0) for kept in (0.0, 0.5, 1.0)
         for filled, valve in (
             (1.3, (0.0,)), (1.3, (0.25,)), (1.3, (1.0,)), (0.85, (0.0, 1.0, 0.25, 1.0, 0.0)),
         )

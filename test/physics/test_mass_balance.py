@@ -135,7 +135,7 @@ WEATHER = st.lists(
 )
 
 
-@settings(max_examples=100)
+@settings(max_examples=60)
 @given(
     hours=WEATHER, site=ANY_SITE,
     tau=st.sampled_from([1.5, 10.0, 60.0, 90.0, 300.0, 1800.0, 3600.0]), closed=st.booleans(),

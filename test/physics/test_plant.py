@@ -30,17 +30,14 @@ LOW_OUTLET = site_with(low_outlet_level=1.0, low_outlet_radius=0.025)
 OUT = 0.1326322799584
 
 
-@pytest.mark.parametrize(
-    ("site", "x1", "flow"),
-    [
-        # A head of 1 m gives 0.61 pi 0.125^2 sqrt(2 9.81); a head of 1/4 m half of it.
-        (PAPER_SITE, 100.0, OUT), (PAPER_SITE, 81.25, OUT / 2),
-        (PAPER_SITE, 75.0, 0.0), (PAPER_SITE, 0.0, 0.0),
-        # At 4 m, 1 m above the main outlet, both take water.
-        (LOW_OUTLET, 50.0, OUT / 25), (LOW_OUTLET, 31.25, OUT / 50), (LOW_OUTLET, 25.0, 0.0),
-        (LOW_OUTLET, 100.0, (25 + math.sqrt(3)) * OUT / 25),
-    ],
-)
+@pytest.mark.parametrize(("site", "x1", "flow"), [
+    # A head of 1 m gives 0.61 pi 0.125^2 sqrt(2 9.81); a head of 1/4 m half of it.
+    (PAPER_SITE, 100.0, OUT), (PAPER_SITE, 81.25, OUT / 2),
+    (PAPER_SITE, 75.0, 0.0), (PAPER_SITE, 0.0, 0.0),
+    # At 4 m, 1 m above the main outlet, both take water.
+    (LOW_OUTLET, 50.0, OUT / 25), (LOW_OUTLET, 31.25, OUT / 50), (LOW_OUTLET, 25.0, 0.0),
+    (LOW_OUTLET, 100.0, (25 + math.sqrt(3)) * OUT / 25),
+])
 def test_outlet_flow_by_hand(site: Site, x1: float, flow: float) -> None:
     """Eq. (2): > z_o. The smallest step above 75 m3, or 25 m3, already gives about 3e-9 m3/s."""
     p, above = plant_parameters(site), math.nextafter(x1, math.inf)
@@ -53,27 +50,21 @@ WEAK = replace(PAPER_SITE, c_hat=15.0)
 """15 m of head against 16 m of height deliver nothing from less than 1 m of water"""
 
 
-@pytest.mark.parametrize(
-    ("site", "x1", "flow"),
-    [
-        # b = 1 / sqrt(328.12 / (19.62 (0.01 pi)^2) + 5.78e5) = 1.29646769e-3, times sqrt(42.2).
-        (PAPER_SITE, 75.0, 0.00842205211502804),
-        (WEAK, 24.0, 0.0), (WEAK, 25.0, 0.0), (WEAK, 26.0, 1.29646769313485e-3 * 0.2),
-    ],
-)
+@pytest.mark.parametrize(("site", "x1", "flow"), [
+    # b = 1 / sqrt(328.12 / (19.62 (0.01 pi)^2) + 5.78e5) = 1.29646769e-3, times sqrt(42.2).
+    (PAPER_SITE, 75.0, 0.00842205211502804),
+    (WEAK, 24.0, 0.0), (WEAK, 25.0, 0.0), (WEAK, 26.0, 1.29646769313485e-3 * 0.2),
+])
 def test_maximum_pump_flow_by_hand(site: Site, x1: float, flow: float) -> None:
     assert maximum_pump_flow(site, x1) == pytest.approx(flow, rel=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("x1", "x2", "runs"),
-    [
-        (75.0, math.nextafter(4.0, 0.0), True),
-        (75.0, 4.0, False),
-        (18.75, 0.0, True),
-        (math.nextafter(18.75, 0.0), 0.0, False),
-    ],
-)
+@pytest.mark.parametrize(("x1", "x2", "runs"), [
+    (75.0, math.nextafter(4.0, 0.0), True),
+    (75.0, 4.0, False),
+    (18.75, 0.0, True),
+    (math.nextafter(18.75, 0.0), 0.0, False),
+])
 def test_pumps_run_between_the_thresholds_only(x1: float, x2: float, runs: bool) -> None:
     """Eq. (3a): none at x2/a2 >= z_veg, none at x1/a1 < z_pump + z_H."""
     expected = 0.5 * maximum_pump_flow(ROUND_SITE, x1) if runs else 0.0
@@ -107,20 +98,17 @@ DRAINS = 1.077408e-5
 """Eq. (4) at 34.4 m3"""
 
 
-@pytest.mark.parametrize(
-    ("x1", "x2", "inputs", "expected"),
-    [
-        # 1 m3 and 0.1 m3/s of rain, with a demand of 2.2 m3/s: half of it flows.
-        (1.0, 0.0, (0.1 / PAPER_SITE.a_in, 0.0, 2.2), (0.0, 1.1, 0.0, 0.0, True)),
-        # OUT m3/s to the sewer and 200 - OUT m3/s pumped make 200 from 100 m3: half of each.
-        (100.0, 0.0, (0.0, 0.0, 200 - OUT), (OUT / 2, 100 - OUT / 2, 0.0, 0.0, True)),
-        # 2e-6 m3 cannot lose 3e-6 m3 in a second; drainage and evapotranspiration share alike.
-        (10.0, 2e-6, (0.0, 3e-6, 0.0), (0.0, 0.0, 0.0, 2e-6, True)),
-        (10.0, 34.4, (0.0, 68.8 - DRAINS, 0.0), (0.0, 0.0, DRAINS / 2, 34.4 - DRAINS / 2, True)),
-        # Exactly what is there is no limit: 1 m3 pumped, and evaporated from what was pumped.
-        (1.0, 0.0, (0.0, 1.0, 1.0), (0.0, 1.0, 0.0, 1.0, False)),
-    ],
-)
+@pytest.mark.parametrize(("x1", "x2", "inputs", "expected"), [
+    # 1 m3 and 0.1 m3/s of rain, with a demand of 2.2 m3/s: half of it flows.
+    (1.0, 0.0, (0.1 / PAPER_SITE.a_in, 0.0, 2.2), (0.0, 1.1, 0.0, 0.0, True)),
+    # OUT m3/s to the sewer and 200 - OUT m3/s pumped make 200 from 100 m3: half of each.
+    (100.0, 0.0, (0.0, 0.0, 200 - OUT), (OUT / 2, 100 - OUT / 2, 0.0, 0.0, True)),
+    # 2e-6 m3 cannot lose 3e-6 m3 in a second; drainage and evapotranspiration share alike.
+    (10.0, 2e-6, (0.0, 3e-6, 0.0), (0.0, 0.0, 0.0, 2e-6, True)),
+    (10.0, 34.4, (0.0, 68.8 - DRAINS, 0.0), (0.0, 0.0, DRAINS / 2, 34.4 - DRAINS / 2, True)),
+    # Exactly what is there is no limit: 1 m3 pumped, and evaporated from what was pumped.
+    (1.0, 0.0, (0.0, 1.0, 1.0), (0.0, 1.0, 0.0, 1.0, False)),
+])
 def test_a_tank_that_holds_too_little_shares_it_out(
     x1: float, x2: float, inputs: tuple[float, float, float], expected: tuple[float, ...]
 ) -> None:
@@ -130,18 +118,15 @@ def test_a_tank_that_holds_too_little_shares_it_out(
     assert 0.0 in after[:2]
 
 
-@pytest.mark.parametrize(
-    ("site", "speed", "level", "flow"),
-    [
-        # At 80 % from 3 m: b sqrt(0.64 55.2 - 13) = 1.29646769e-3 sqrt(22.328).
-        (PAPER_SITE, 0.8, 3.0, 0.00612614),
-        # 13 m of lift need sqrt(13 / 55.2) = 0.48529 of the speed.
-        (PAPER_SITE, 0.4852, 3.0, 0.0), (PAPER_SITE, 0.4854, 3.0, 9.913047e-5),
-        (WEAK, 1.0, 0.5, 0.0),
-        # Without rotation nothing flows, not even from 20 m of water to a roof at 16 m.
-        (PAPER_SITE, 0.0, 3.0, 0.0), (PAPER_SITE, 0.0, 20.0, 0.0),
-    ],
-)
+@pytest.mark.parametrize(("site", "speed", "level", "flow"), [
+    # At 80 % from 3 m: b sqrt(0.64 55.2 - 13) = 1.29646769e-3 sqrt(22.328).
+    (PAPER_SITE, 0.8, 3.0, 0.00612614),
+    # 13 m of lift need sqrt(13 / 55.2) = 0.48529 of the speed.
+    (PAPER_SITE, 0.4852, 3.0, 0.0), (PAPER_SITE, 0.4854, 3.0, 9.913047e-5),
+    (WEAK, 1.0, 0.5, 0.0),
+    # Without rotation nothing flows, not even from 20 m of water to a roof at 16 m.
+    (PAPER_SITE, 0.0, 3.0, 0.0), (PAPER_SITE, 0.0, 20.0, 0.0),
+])
 def test_flow_by_hand(site: Site, speed: float, level: float, flow: float) -> None:
     assert flow_at(site, speed, level) == pytest.approx(flow, rel=1e-6, abs=0)
 

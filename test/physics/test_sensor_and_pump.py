@@ -48,13 +48,10 @@ def test_noise_follows_from_seed_and_tick_alone() -> None:
     assert len(np.unique(noise)) == 100 * 5000
 
 
-@pytest.mark.parametrize(
-    ("sensor", "roof", "reading"),
-    [
-        ({}, 0.5, 0.5), ({"roof_offset": 0.25}, 0.5, 0.75), ({"roof_offset": -0.25}, 0.5, 0.25),
-        ({"roof_offset": -0.25}, 0.125, 0.0),  # the sensor's end
-    ],
-)
+@pytest.mark.parametrize(("sensor", "roof", "reading"), [
+    ({}, 0.5, 0.5), ({"roof_offset": 0.25}, 0.5, 0.75), ({"roof_offset": -0.25}, 0.5, 0.25),
+    ({"roof_offset": -0.25}, 0.125, 0.0),  # the sensor's end
+])
 def test_offset_by_hand(sensor: dict[str, float], roof: float, reading: float) -> None:
     site = VirtualSite(PAPER_SITE, 75.0, roof * PAPER_SITE.a2, 0, SensorAndPump(**sensor), 1)
     assert site.observe() == (3.0, reading)
@@ -78,19 +75,16 @@ def commands_let_through(
     return shares
 
 
-@pytest.mark.parametrize(
-    ("on", "off", "commands", "expected"),
-    [
-        # A short command is extended, a short pause, too; the rest passes unchanged.
-        (
-            3, 2, [0, 0.5, 0, 0, 0, 0, 1, 1, 1, 1, 0, 1, 0, 1, 0.25, 0, 0],
-            [0, 0.5, 0.5, 0.5, 0, 0, 1, 1, 1, 1, 0, 0, 0, 1, 0.25, 0.25, 0],
-        ),
-        # The pumps may start in the first tick: they have been off long enough.
-        (3, 0, [1, 0, 0, 0, 1, 0, 1, 1], [1, 1, 1, 0, 1, 1, 1, 1]),
-        (0, 4, [1, 0, 0, 0, 1, 0, 1, 1], [1, 0, 0, 0, 0, 0, 1, 1]),
-    ],
-)
+@pytest.mark.parametrize(("on", "off", "commands", "expected"), [
+    # A short command is extended, a short pause, too; the rest passes unchanged.
+    (
+        3, 2, [0, 0.5, 0, 0, 0, 0, 1, 1, 1, 1, 0, 1, 0, 1, 0.25, 0, 0],
+        [0, 0.5, 0.5, 0.5, 0, 0, 1, 1, 1, 1, 0, 0, 0, 1, 0.25, 0.25, 0],
+    ),
+    # The pumps may start in the first tick: they have been off long enough.
+    (3, 0, [1, 0, 0, 0, 1, 0, 1, 1], [1, 1, 1, 0, 1, 1, 1, 1]),
+    (0, 4, [1, 0, 0, 0, 1, 0, 1, 1], [1, 0, 0, 0, 0, 0, 1, 1]),
+])
 def test_minimum_times_by_hand(
     on: int, off: int, commands: list[float], expected: list[float]
 ) -> None:
@@ -118,15 +112,12 @@ def test_what_stops_them_at_once() -> None:
     assert commands_let_through(times, [1, 1, 0], [False, False, True]) == [1, 1, 0]
 
 
-@pytest.mark.parametrize(
-    ("frost", "seconds", "runs"),
-    [
-        (0.0, 12 * 3600, True), (1.0, 12 * 3600, False), (math.nan, 12 * 3600, False),
-        # Quiet from 22:00 to 06:00, to the second; the clock is at UTC.
-        (0.0, 22 * 3600 - 1, True), (0.0, 22 * 3600, False), (0.0, 24 * 3600, False),
-        (0.0, 6 * 3600 - 1, False), (0.0, 6 * 3600, True),
-    ],
-)
+@pytest.mark.parametrize(("frost", "seconds", "runs"), [
+    (0.0, 12 * 3600, True), (1.0, 12 * 3600, False), (math.nan, 12 * 3600, False),
+    # Quiet from 22:00 to 06:00, to the second; the clock is at UTC.
+    (0.0, 22 * 3600 - 1, True), (0.0, 22 * 3600, False), (0.0, 24 * 3600, False),
+    (0.0, 6 * 3600 - 1, False), (0.0, 6 * 3600, True),
+])
 def test_when_the_pumps_may_run(frost: float, seconds: int, runs: bool) -> None:
     """Not in frost, also if that is unknown, nor in quiet hours; a driver has rules of its own."""
     quiet = replace(PAPER_SITE, quiet_hours=("22:00-06:00",))

@@ -35,27 +35,16 @@ def rains(ticks: int, at: dict[int, float]) -> list[float]:
 @pytest.mark.parametrize(("rain", "options", "expected"), [
     # Two hours after 0.1 mm/h, and until the run's end; 0.09 mm/h are none.
     (rains(60, {1: 0.09, 14: 0.1}), {}, range(14, 39)), (rains(24, {20: 9.0}), {}, range(20, 24)),
-    (rains(96, dict.fromkeys(range(96), 0.09)), {}, []), (rains(96, {}), {}, []),
     # Drizzle counts within an hour after rain that counts, also if that was drizzle.
-    (rains(96, {2: 1.0, 14: DRIZZLE}), {}, range(2, 39)),
-    (rains(96, {2: 1.0, 15: DRIZZLE}), {}, range(2, 27)),
     (rains(96, {2: 1.0, 14: DRIZZLE, 26: DRIZZLE}), {}, range(2, 51)),
-    (rains(96, {2: DRIZZLE, 3: 1.0}), {}, range(3, 28)),  # not before it
     # Unknown rain counts.
     (rains(60, {5: math.nan, 16: DRIZZLE}), {}, range(5, 41)),
-    # Other times after rain, down to none.
-    (rains(36, {2: 1.0, 4: DRIZZLE}), {"wet_after_h": 0.0}, [2, 4]),
-    (rains(36, {2: 1.0}), {"wet_after_h": 0.5}, range(2, 9)),
     # Ticks of 7 s: 3598 s are within the hour, 3605 s are not; 515 ticks begin within an hour.
     (rains(1100, {0: 1.0, 515: DRIZZLE}), {"tau": 7.0, "wet_after_h": 1.0}, range(1031)),
     (rains(1100, {0: 1.0, 516: DRIZZLE}), {"tau": 7.0, "wet_after_h": 1.0}, range(516)),
-    # Of an hour: drizzle in the next one counts, but not after a dry one.
-    (rains(8, {1: 0.1, 2: DRIZZLE}), {"tau": 3600.0}, range(1, 5)),
-    (rains(8, {1: 0.1, 3: DRIZZLE}), {"tau": 3600.0}, range(1, 4)),
-    # It rained up to the start, or until 90 minutes or two hours before it.
-    (rains(36, {0: DRIZZLE}), {"before": 0.0}, range(25)),
+    # It rained until 90 minutes or two hours before the start.
     (rains(36, {0: DRIZZLE}), {"before": 5400.0}, range(6)),
-    (rains(36, {}), {"before": 7200.0}, []), (rains(36, {0: DRIZZLE}), {}, []),
+    (rains(36, {}), {"before": 7200.0}, []),
 ])
 def test_wet_weather_by_hand(
     rain: list[float], options: dict[str, float], expected: Sequence[int]
@@ -83,7 +72,7 @@ def test_wet_weather_one_by_one(rain: list[float], tau: int, after: int) -> None
 
 
 @pytest.mark.parametrize(("tau", "seconds"), [
-    (0.1, 60), (1, 60), (7, 63), (10, 60), (60, 60), (90, 90), (300, 300), (600, 600), (3600, 3600),
+    (0.1, 60), (7, 63), (60, 60), (90, 90), (3600, 3600),
 ])
 def test_intervals_are_whole_ticks(tau: float, seconds: float) -> None:
     assert interval_seconds(site_with(tau=tau)) == pytest.approx(seconds)

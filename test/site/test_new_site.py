@@ -56,13 +56,12 @@ def test_a_site_is_written_and_simulated(tmp_path: Path) -> None:
 
 
 def test_every_line_states_its_source() -> None:
-    """Also of what is given, and of what only waits to be used; lines fit a page."""
+    """Also of what is given, and of what only waits to be used."""
     text = format_new_site({**HOUSE, "cistern_height": 1.5})
     entries = re.findall(r"^[a-z]\w*: \S+ +# .*(?:\n +# .*)*", text, re.MULTILINE | re.IGNORECASE)
     assert len(entries) == len(re.findall(r"^\w+:", text, re.MULTILINE)) - 1  # extends
     assert all(re.search(r"\[[^]]+\]$", entry) for entry in entries)
     assert len(re.findall(r"\[given\]$", text, re.MULTILINE)) == 6
-    assert max(map(len, text.splitlines())) <= 120
 
 
 def drain_hours(site: Site, from_level: float) -> float:
@@ -136,15 +135,10 @@ def test_places(
 
 
 @pytest.mark.parametrize(("key", "options"), [
-    ("--catchment, --cistern, --place", GIVEN[:2]),
-    *((options[0].strip("-"), (*GIVEN, *options)) for options in (
-        ("--roof", "12,5"), ("--cistern", "5m3"), ("--substrate", "moss"), ("--output", "site.txt"),
-        ("--substrate-depth", "10"), ("--output", "none/my_site.yaml"),
-    )),
-    *(("--place", (*GIVEN[:-1], place)) for place in (
-        "91,0", "43,63,-79,40", "43.63", "43.63,-181", "nan,0", "Toronto", "-79.40,43.63",
-    )),
-    ("time_zone = 'Mars'", (*GIVEN, "--time-zone", "Mars")),
+    ("--catchment, --cistern, --place", GIVEN[:2]), ("--roof", (*GIVEN, "--roof", "12,5")),
+    ("--output", (*GIVEN, "--output", "none/my_site.yaml")),
+    ("time_zone", (*GIVEN, "--time-zone", "Mars")),
+    *(("--place", (*GIVEN[:-1], place)) for place in ("91,0", "43,63,-79,40", "-79.40,43.63")),
 ])
 def test_bad_answers(tmp_path: Path, options: tuple[str, ...], key: str) -> None:
     """Exit code 2, a line, and no file."""

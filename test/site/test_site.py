@@ -39,14 +39,8 @@ def test_packaged_site_is_table_i() -> None:
     assert {key: site[key] for key in TABLE_I} == pytest.approx(TABLE_I, rel=1e-15)
     # The paper's soil drains by Eq. (4), its cistern has no top-up and one outlet, all rain on its
     # inlet arrives, and a run begins in one of Table II's states.
-    absent = {
-        *FIELD_CAPACITY, "mains_level", "mains_flow", "low_outlet_level", "low_outlet_radius",
-        "valve_closed_in_frost",
-        "valve_moves_per_hour", "valve_travel_time", "valve_without_power",
-        "initial_cistern", "initial_roof", "quiet_hours", "time_zone", "max_dose", "irrigation",
-        "contact", "monthly_other_demand",
-    }
-    assert {key for key, value in site.items() if value is None} == absent
+    for key in ("field_capacity", "mains_level", "low_outlet_level", "initial_cistern"):
+        assert site[key] is None
     assert (site["initial_layer"], site["runoff_coefficient"]) == (0, 1)
     # What fao56 gives for Toronto's records: 125 mm in July, 0.8 m in a year.
     climate = site["monthly_evapotranspiration"]
@@ -65,9 +59,6 @@ def test_any_consistent_site_is_read_back(
     assert read_site(write(directory, **asdict(site))) == site
 
 
-MONTHS = [0.0, 1, *[2.5] * 9, 20.0]
-
-
 @pytest.mark.parametrize("key", [key for key in TABLE_I if key not in ("x2_star", "z_cap")])
 def test_missing(tmp_path: Path, key: str) -> None:
     """The error has the file, and a remedy that works; the other two follow from these."""
@@ -79,85 +70,53 @@ def test_missing(tmp_path: Path, key: str) -> None:
     read_site(path)
 
 
-@pytest.mark.parametrize(("key", "wrong"), [("z_H", "-1e-300"), ("M", "10.5")])
-def test_what_is_no_number_of_its_range(tmp_path: Path, key: str, wrong: str) -> None:
-    """Nor is a value that is not finite."""
-    for value in (wrong, "1e10", ".nan", ".inf", "-.inf", "1e400"):
-        assert f" {key} = " in refusal(read_site, write(tmp_path, **{key: value}))
-    assert f": {key}: must have a value" in refusal(read_site, write(tmp_path, **{key: ""}))
-    for value in ("three", "true", "[3]", "2021-07-07"):
-        why = refusal(read_site, write(tmp_path, **{key: value}))
-        assert re.search(": must be a (whole )?number ", why)
-
-
 PAPERS: dict[str, object] = {}
 ROOF: dict[str, object] = {"z_cap": 20.64, **FIELD_CAPACITY}
 MAINS: dict[str, object] = {"mains_level": 1.0, "mains_flow": 0.001}
 LOW: dict[str, object] = {"low_outlet_level": 1.0, "low_outlet_radius": 0.02}
 OWN: dict[str, object] = {"initial_cistern": 50.0, "initial_roof": 2.0}
-CLIMATE = "monthly_evapotranspiration"
 CLOCK: dict[str, object] = {
     "quiet_hours": '["22:00-06:00"]', "time_zone": "EST", "utc_offset": -5,
 }
 
 
-@pytest.mark.parametrize(
-    ("base", "changes", "key", "reason"),
-    [
-        # Out of range: with a unit, without one, and a whole number.
-        (PAPERS, {"a2": "-68.8"}, "a2", "a number greater than 0 and at most 1e+09 m2 (area"),
-        (PAPERS, {"a_hat": "0"}, "a_hat", "a number of at least -1e+21 and less than 0 s2/m5 (qu"),
-        (PAPERS, {"M": "1001"}, "M", "a whole number from 1 to 1000 ticks (length of"),
-        # A value that contradicts another.
-        (PAPERS, {"x2_star": 3.145}, "x2_star", "a2 z_veg = 3.14416 m3"),
-        (PAPERS, {"z_cap": 34.5}, "z_cap", "a2 z_soil = 34.4 m3; leave this line out to have it"),
-        (PAPERS, {"z_o": 300}, "z_o", "lower, or r_o larger, so that the water stays below t"),
-        # Eq. (2) for 300 m2 * 500 mm/h = 0.0417 m3/s: 3 m + (0.0417 / 0.0053)^2 m.
-        (PAPERS, {"a_in": 300, "r_o": 0.025}, "z_o", "lower, or r_o larger, so that the water "
-         "stays below the roof at d = 16 m; at 1.3 z_o, or in rain of 500 mm/h, it is at 64.68 m"),
-        (PAPERS, {"c_hat": 15.25}, "c_hat", "above d - z_pump - z_H = 15.25 m"),
-        (PAPERS, {"tau": 1.0000000001}, "tau", "a whole number of nanoseconds"),
-        (PAPERS, {"z_veg": 0.5, "x2_star": 34.4}, "z_veg", "below z_cap / a2 = 0.5 m"),
-        (ROOF, {"wilting_point": None}, "field_capacity", "needs wilting_point as well"),
-        (ROOF, {"z_cap": 34.4}, "z_cap", "a2 z_soil field_capacity = 20.64 m3"),
-        (ROOF, {"z_veg": 0.3, "x2_star": 20.64}, "z_veg", "below z_cap / a2 = 0.3 m"),
-        (ROOF, {"wilting_point": 0.1}, "wilting_point", "below z_veg / z_soil = 0.0914"),
-        (MAINS, {"mains_level": 0.75}, "mains_level", "above z_pump + z_H = 0.75 m"),
-        (LOW, {"low_outlet_level": 3.0}, "low_outlet_level", "above z_pump + z_H = 0.75 m, below"),
-        (OWN, {"initial_roof": None}, "initial_cistern", "needs initial_roof as well"),
-        (OWN, {"initial_cistern": 98.0}, "initial_cistern", "at most 97.5 m3, which is all"),
-        ({**ROOF, **OWN}, {"initial_roof": 21.0}, "initial_roof", "at most 20.64 m3, which is all"),
-        (ROOF, {"initial_layer": 5.5}, "initial_layer", "at most the volume of the drainage layer"),
-        (PAPERS, {CLIMATE: MONTHS[:11]}, CLIMATE, "a list of twelve numbers, January to December"),
-        (PAPERS, {CLIMATE: [*MONTHS[:11], 20.1]}, f"{CLIMATE}.12", "a number from 0 to 20 mm/day"),
-        (PAPERS, {CLIMATE: 3.0}, CLIMATE, "a list (mean reference evapotranspiration"),
-        (PAPERS, {"elevation": ""}, "elevation", "must have a value"),
-        (CLOCK, {"time_zone": None}, "quiet_hours", "needs time_zone as well"),
-        (CLOCK, {"quiet_hours": "22:00-06:00"}, "quiet_hours", "a list (times of the day at"),
-        *((CLOCK, {"quiet_hours": f'["{hours}"]'}, "quiet_hours", "a list of intervals")
-          for hours in ("22", "24:00-06:00", "06:00-06:00")),
-        (CLOCK, {"quiet_hours": '["00:00-12:00", "12:00-24:00"]'}, "quiet_hours",
-         'a list of intervals of the day, such as ["22:00-06:00", "12:00-13:30"], and must leave '
-         "some time for pumping"),
-        (CLOCK, {"time_zone": "America/Tornto"}, "time_zone", "the IANA name of a time zone"),
-        (CLOCK, {"time_zone": "../secret"}, "time_zone", "the IANA name of a time zone"),
-        # -05:00 never, -04:00 now; in names that begin with Etc/ the sign is reversed.
-        (CLOCK, {"time_zone": "America/Halifax"}, "time_zone", "a time zone whose standard UTC"),
-        (CLOCK, {"time_zone": "Etc/GMT-5"}, "time_zone", "a time zone whose standard UTC offset"),
-    ],
-)
-def test_wrong_values(
-    tmp_path: Path, base: dict[str, object], changes: dict[str, object], key: str, reason: str
+@pytest.mark.parametrize(("base", "changes", "key", "right"), [
+    (PAPERS, {"x2_star": 3.145}, "x2_star", "3.14416 m3"),
+    (PAPERS, {"z_cap": 34.5}, "z_cap", "34.4 m3"),
+    # Eq. (2) for 300 m2 * 500 mm/h = 0.0417 m3/s: 3 m + (0.0417 / 0.0053)^2 m.
+    (PAPERS, {"a_in": 300, "r_o": 0.025}, "z_o", "64.68 m"),
+    (PAPERS, {"c_hat": 15.25}, "c_hat", "above d - z_pump - z_H = 15.25 m"),
+    (PAPERS, {"tau": 1.0000000001}, "tau", "a whole number of nanoseconds"),
+    (PAPERS, {"z_veg": 0.5, "x2_star": 34.4}, "z_veg", "below z_cap / a2 = 0.5 m"),
+    (PAPERS, {"monthly_evapotranspiration": [3.0] * 11}, "monthly_evapotranspiration", "twelve"),
+    (PAPERS, {"elevation": ""}, "elevation", "must have a value"),
+    (ROOF, {"wilting_point": None}, "field_capacity", "wilting_point"),
+    (ROOF, {"z_cap": 34.4}, "z_cap", "20.64 m3"),
+    (ROOF, {"z_veg": 0.3, "x2_star": 20.64}, "z_veg", "0.3 m"),
+    (ROOF, {"wilting_point": 0.1}, "wilting_point", "below z_veg / z_soil = 0.0914"),
+    (MAINS, {"mains_level": 0.75}, "mains_level", "above z_pump + z_H = 0.75 m"),
+    (LOW, {"low_outlet_level": 3.0}, "low_outlet_level", "above z_pump + z_H = 0.75 m, below"),
+    (OWN, {"initial_roof": None}, "initial_cistern", "initial_roof"),
+    (OWN, {"initial_cistern": 98.0}, "initial_cistern", "97.5 m3"),
+    ({**ROOF, **OWN}, {"initial_roof": 21.0}, "initial_roof", "20.64 m3"),
+    (ROOF, {"initial_layer": 5.5}, "initial_layer", "at most the volume of the drainage layer"),
+    (CLOCK, {"time_zone": None}, "quiet_hours", "time_zone"),
+    *((CLOCK, {"quiet_hours": f'["{hours}"]'}, "quiet_hours", "a list of intervals")
+      for hours in ("22", "24:00-06:00", "06:00-06:00", '00:00-12:00", "12:00-24:00')),
+    *((CLOCK, {"time_zone": zone}, "time_zone", "IANA") for zone in ("Toronto", "../secret")),
+    # -05:00 never, -04:00 now; in names that begin with Etc/ the sign is reversed.
+    *((CLOCK, {"time_zone": zone}, "time_zone", "UTC offset")
+      for zone in ("America/Halifax", "Etc/GMT-5")),
+])
+def test_values_that_contradict_others(
+    tmp_path: Path, base: dict[str, object], changes: dict[str, object], key: str, right: str
 ) -> None:
-    """The error has file, line, key and value, and what would be right."""
+    """The error has file, line, key, and what would be right."""
     path = write(tmp_path, **{**base, **changes})
-    [line] = [
-        number for number, text in enumerate(path.read_text().splitlines(), start=1)
-        if text.startswith(f"{key.partition('.')[0]}: ")
-    ]
+    keys = [text.partition(":")[0] for text in path.read_text().splitlines()]
     message = refusal(read_site, path)
-    assert re.match(rf"{re.escape(f'{path}, line {line}: {key}')}( = |: must have)", message)
-    assert re.search(rf": (must be |){re.escape(reason)}", message)
+    assert message.startswith(f"{path}, line {1 + keys.index(key)}: {key}")
+    assert right in message
 
 
 def test_what_follows_is_computed(tmp_path: Path) -> None:
@@ -168,13 +127,8 @@ def test_what_follows_is_computed(tmp_path: Path) -> None:
     assert (larger.x2_star, larger.z_cap) == pytest.approx((120 * 0.0457, 60.0), rel=1e-15)
 
 
-def test_a_mistyped_key(tmp_path: Path) -> None:
-    """The error suggests similar keys, and lists all only if none is similar."""
-    path = write(tmp_path, a2=None, a3=68.8)
-    assert refusal(read_site, path).endswith(": is not a valid key; did you mean a2?")
-    path = write(tmp_path, "pi: 3.14")
-    start = f"{path}, line {len(TABLE_I) + 1}: pi = 3.14: is not a valid key; choose from cistern_v"
-    assert refusal(read_site, path).startswith(start)
+def test_a_mistyped_key_has_a_suggestion(tmp_path: Path) -> None:
+    assert "did you mean a2?" in refusal(read_site, write(tmp_path, a2=None, a3=68.8))
 
 
 def test_a_site_that_extends_another(tmp_path: Path) -> None:
@@ -189,11 +143,9 @@ def test_a_site_that_extends_another(tmp_path: Path) -> None:
     child.write_text("# A larger one\nextends: ../roof.yaml\na1: 50.0\n")
     base, site = read_site(tmp_path / "my site.yaml"), read_site(child)
     assert site == replace(base, a1=50.0, a2=100.0, x2_star=4.57, z_cap=50.0)
-    child.write_text("---\n? extends\n: ../roof.yaml\na1 : &x 5.e+1\n")
-    assert read_site(child) == site
     (tmp_path / "roof.yaml").write_text(
-        "extends: my site.yaml\nquiet_hours:\n# by night\n- 22:00-06:00\n# and at noon\n"
-        "- 12:00-13:00\ntime_zone: Europe/Berlin\nutc_offset: 1\n"
+        'extends: my site.yaml\nquiet_hours: ["22:00-06:00"]\ntime_zone: Europe/Berlin\n'
+        "utc_offset: 1\n"
     )
     child.write_text('extends: ../roof.yaml\nquiet_hours: ["20:00-21:00"]\n')
     night = replace(base, time_zone="Europe/Berlin", utc_offset=1.0, quiet_hours=("20:00-21:00",))
@@ -244,19 +196,15 @@ def test_a_site_is_written_as_a_complete_file(tmp_path: Path) -> None:
 def test_what_cannot_be_extended(tmp_path: Path) -> None:
     """Itself, a circle, a missing file; an error in a base has the name of that file."""
     child = tmp_path / "child.yaml"
-    for base, reason in (
-        ("child.yaml", "child.yaml, line 1: extends = 'child.yaml': must be the name of another"),
-        ("3", "child.yaml, line 1: extends = 3: must be the name of another site file, such as"),
-        ("absent.yaml", "child.yaml, line 1: extends = 'absent.yaml': must be the name of "),
-        ("circle.yaml", "circle.yaml, line 1: extends = 'child.yaml': must be the name of another "
-         "site file, such as site.yaml, in the same directory or in this package, which does not "
-         "extend this file itself"),
-        ("base.yaml", f"base.yaml, line {len(TABLE_I) + 1}: a3 = 5.0: is not a valid key"),
+    write(tmp_path, "a3: 5.0").rename(tmp_path / "base.yaml")
+    (tmp_path / "circle.yaml").write_text("extends: child.yaml\n")
+    for base, file, line, key in (
+        ("child.yaml", "child.yaml", 1, "extends"), ("3", "child.yaml", 1, "extends"),
+        ("absent.yaml", "child.yaml", 1, "extends"), ("circle.yaml", "circle.yaml", 1, "extends"),
+        ("base.yaml", "base.yaml", len(TABLE_I) + 1, "a3"),
     ):
         child.write_text(f"extends: {base}\na1: 3.0\n")
-        (tmp_path / "circle.yaml").write_text("extends: child.yaml\n")
-        write(tmp_path, "a3: 5.0").rename(tmp_path / "base.yaml")
-        assert refusal(read_site, child).startswith(str(tmp_path / reason))
+        assert refusal(read_site, child).startswith(f"{tmp_path / file}, line {line}: {key} = ")
 
 
 def test_a_run_and_a_study_keep_the_whole_site(tmp_path: Path) -> None:

@@ -83,23 +83,18 @@ def test_a_table_with_decimal_commas(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("text", "table", "reason"), [
-    (IDF.replace("unit: mm\n", ""), "", "unit: must be stated: mm or in"),
-    (IDF.replace("mm", "cm"), "", "line 3: unit = 'cm': is unknown; did you mean mm"),
-    (IDF.replace("[2, 10]", "[10, 2]"), "", "return_periods.*in ascending order"),
-    (IDF + "after: Table 2a\n", "5 1 2\n", "idf.csv: after = 'Table 2a': must occur in a line"),
-    (IDF, "5 1 2\n10 2\n", "idf.csv, line 2: .*must have 2 values in mm"),
-    (IDF, "5 60 90\n10 40 70\n", "idf.csv, line 2: .*depths must not decrease"),
-    (IDF, "5 1 2 3\n10 2 3\n", "idf.csv, line 2: .*must have 2 values"),
-    (IDF, "5 2 1\n10 3 2\n", "idf.csv, line 1: .*depths must not decrease"),
-    ("parameters: {2: [700, 6, 1.5]}\n", "", "parameters.*grow with the duration"),
-    ("parameters: {2: [0, 6, 0.8]}\n", "", "parameters.*grow with the duration"),
-    (IDF, "5 1 2\n10 2 -3\n", "idf.csv, line 2: .*depths must not decrease"),
-    (IDF, "10 2 3\n5 1 2\n", "idf.csv, line 2: .*durations must increase"),
-    (IDF, "5 1 2\n10 2 3\n10 2 3\n", "idf.csv, line 3: .*durations must increase"),
+    (IDF.replace("unit: mm\n", ""), "", "unit: must be stated"),
+    (IDF.replace("[2, 10]", "[10, 2]"), "", "line 2: return_periods"),
+    (IDF + "after: Table 2a\n", "5 1 2\n", "after = 'Table 2a'"),
+    *((IDF, table, "idf.csv, line 2: ") for table in (
+        "5 1 2\n10 2\n", "5 60 90\n10 40 70\n", "5 1 2\n10 2 -3\n", "10 2 3\n5 1 2\n",
+    )),
+    (IDF, "5 2 1\n10 3 2\n", "idf.csv, line 1: "),
     (IDF, "duration 2 10\n", "idf.csv: must have lines that begin with a duration"),
+    ("parameters: {2: [700, 6, 1.5]}\n", "", "parameters.*grow with the duration"),
     ("parameters: {2: [700, 6]}\n", "", "parameters: must contain a, b and c"),
     ("record: [a.csv]\nreturn_periods: [1, 2]\n", "", "above 1 for a record"),
-    ("return_periods: [2]\n", "", "file: must be stated, or else parameters or record"),
+    ("return_periods: [2]\n", "", "file: must be stated"),
 ])
 def test_a_wrong_description_is_refused(
     text: str, table: str, reason: str, tmp_path: Path
@@ -214,11 +209,9 @@ def test_every_storm_has_the_depth_of_its_duration(kind: str, duration: int, ste
 
 
 @pytest.mark.parametrize(("options", "reason"), [
-    ((3, "eulr", 60, 5), "kind = 'eulr': is unknown; did you mean euler"),
-    ((200, "euler", 60, 5), "return_periods = 200.*from 2 to 100 years"),
-    ((10, "euler", 62, 5), r"duration = 62: must be a multiple of step \(5 min\)"),
-    ((10, "block", 60, 2), "from 5 to 1440 min"), ((10, "euler", 2880, 60), "from 5 to 1440 min"),
-    ((10, "chicago", 60, 5, 0.0), "peak = 0.0"),
+    ((3, "eulr", 60, 5), "kind = 'eulr'"),
+    ((200, "euler", 60, 5), "return_periods = 200"), ((10, "euler", 62, 5), "duration = 62"),
+    ((10, "block", 60, 2), "1440 min"), ((10, "chicago", 60, 5, 0.0), "peak = 0.0"),
 ])
 def test_a_wrong_storm_is_refused(options: tuple[object, ...], reason: str) -> None:
     refusal(make_storm, CANADA, *options, match=reason)

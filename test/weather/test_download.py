@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import io
-import json
-import os
 import re
 import signal
 import subprocess
@@ -19,13 +17,13 @@ from subprocess import CompletedProcess
 
 import numpy as np
 import pytest
-from commands import run_command
 from disks import small_disk
+from http_service import WeatherService
 from paper import site_file
 from places import CHECKOUT, DATA
 from refusals import refusal
-from weather_service import WeatherService, open_meteo_values
 
+import greenroof_ros as gr
 from greenroof_ros.base import http
 from greenroof_ros.base.console import ProgressBar
 from greenroof_ros.base.http import ServiceError
@@ -80,50 +78,28 @@ def fetch_at_once(
     return fetch(source._replace(pause_s=0.001), site, directory, progress or ProgressBar())
 
 
-def simulate(directory: Path, *more: str) -> dict[str, object]:
-    done = run_command(
-        "simulate", "--controller", "onoff", "--trajectory-every", "3600", "--json", *more,
-        cwd=directory, env=os.environ,
-    )
-    assert done.returncode == 0, done.stderr
-    summary: dict[str, object] = json.loads(done.stdout)
-    return {
-        key: value for key, value in summary.items()
-        if key in ("pumped_m3", "rain_m3", "mean_deviation_mm", "evapotranspiration_m3",
-                   "final_roof_m3", "notes", "evapotranspiration_method")
-    }
-
-
 def test_two_years_come_in_spite_of_all_that_services_send(service, tmp_path):
-    service.faults = ["html", "half", "limit", "limit 1", "error", "JSON error", "", "short"]
+    service.faults = ["html", "half", "limit", "error", "JSON error", "", "short"]
     done = run(service, tmp_path, "--years", "2023-2024")
     assert (done.returncode, [*tmp_path.iterdir()]) == (0, [tmp_path / "out.csv"]), done.stderr
-    for reason in ("is not valid JSON", "IncompleteRead", "429 Too Many Requests", "503",
-                   "went wrong", "to 2025-01-01T00:00+00:00 instead of",
-                   "next attempt in "):
+    for reason in ("is not valid JSON", "IncompleteRead", "429", "503", "went wrong", "instead of"):
         assert reason in done.stderr
     # Each year until it came; years are of the site's clock, so there is a day more at both ends.
     asked = [(query["start_date"], query["end_date"]) for query in service.requests]
-    assert asked == 7 * [("2022-12-31", "2023-12-31")] + 2 * [("2024-01-01", "2025-01-01")]
-    for text in (
-        "17544", "43.60 N, 79.40 W", "the site is at 43.63 N", "CC BY 4.0", "non-commercial",
-        LOW_PEAKS,
+    assert asked == 6 * [("2022-12-31", "2023-12-31")] + 2 * [("2024-01-01", "2025-01-01")]
+    head = "".join(line for line in (tmp_path / "out.csv").open() if line[0] == "#")
+    for text, place in (
+        ("CC BY 4.0", done.stdout + head), ("43.60 N, 79.40 W", done.stdout),
+        (LOW_PEAKS, done.stdout), (LOW_PEAKS, head), ("rain_kind: reanalysis", head),
+        (f"{datetime.now(timezone.utc):%Y-%m-%d}", head), ("latitude: 43.6", head),
     ):
-        assert text in done.stdout
-    head = [line for line in (tmp_path / "out.csv").read_text().splitlines() if line[0] == "#"]
-    for text in (
-        "Open-Meteo.com", "Licence: CC BY 4.0", f"{datetime.now(timezone.utc):%Y-%m-%d}",
-        "UTC-05:00", "rain_kind: reanalysis", LOW_PEAKS, "latitude: 43.6", "longitude: -79.4",
-    ):
-        assert any(text in line for line in head)
+        assert text in place
     # Values of the service at their hours; rain is of the hour before its time.
     records = read_measured([tmp_path / "out.csv"], SITE)
     assert records.first == datetime.fromisoformat("2023-01-01T00:00-05:00")
-    for quantity, variable, hour in (
-        (PRECIPITATION, "precipitation", 1), (TEMPERATURE, "temperature_2m", 0),
-    ):
-        expected = open_meteo_values(variable, records.first + timedelta(hours=hour), 17544)
-        assert records.values[quantity].tolist() == expected
+    for quantity, late in ((PRECIPITATION, 1), (TEMPERATURE, 0)):
+        expected = service.values(quantity, records.first + timedelta(hours=late), 17544)
+        assert records.values[quantity].tolist() == expected.tolist()
 
 
 def test_a_run_is_as_with_the_services_own_answer_and_says_that_peaks_are_low(service, tmp_path):
@@ -138,14 +114,15 @@ def test_a_run_is_as_with_the_services_own_answer_and_says_that_peaks_are_low(se
     assert "\n2024-01-03T23:00:00-05:00,,,,,," in (tmp_path / "out.csv").read_text()
     query = service.requests[-1]
     (tmp_path / "answer.json").write_bytes(service.answer("/v1/archive", query))
-    window = ["--start", "2024-07-01T00:00-05:00", "--hours", "72"]
-    ours, theirs = (
-        simulate(tmp_path, "--weather", file, *window) for file in ("out.csv", "answer.json")
-    )
-    assert ours == theirs
-    assert ours["evapotranspiration_method"] == "fao56"
-    assert any(LOW_PEAKS in note for note in ours["notes"])
-    assert float(ours["rain_m3"]) > 0
+    with pytest.warns(UserWarning, match=LOW_PEAKS):
+        ours, theirs = (
+            gr.simulate(
+                "onoff", site=gr.read_site(tau=60.0), weather=tmp_path / file,
+                start="2024-07-01T00:00-05:00", hours=72,
+            ) for file in ("out.csv", "answer.json")
+        )
+    assert ours.metrics == theirs.metrics
+    assert ours.metrics["rain_m3"] > 0
 
 
 def test_a_station_has_the_hours_of_its_bulk_files(service, tmp_path):
@@ -172,46 +149,38 @@ def test_a_station_has_the_hours_of_its_bulk_files(service, tmp_path):
             assert np.array_equal(part, series, equal_nan=True)
         known += np.count_nonzero(~np.isnan(real.values[PRECIPITATION]))
     assert np.count_nonzero(~np.isnan(ours.values[PRECIPITATION])) == known
-    window = ["--start", "2021-07-07T00:00-05:00", "--hours", "48"]
-    real = str(DATA / "en_climate_hourly_07-2021.csv")
-    assert simulate(tmp_path, "--weather", "out.csv", *window) == (
-        simulate(tmp_path, "--weather", real, *window)
-    )
 
 
 @pytest.mark.parametrize("ended_by", [signal.SIGKILL, signal.SIGINT])
 def test_what_came_before_the_end_is_not_requested_again(service, tmp_path, ended_by):
-    service.faults = ["", "", "slow"]
-    env = {**os.environ, "PYTHONPATH": str(CHECKOUT)}
+    service.faults = ["", "slow"]
     process = subprocess.Popen(
         [sys.executable, "-m", "greenroof_ros", "fetch-weather",
-         *words(service, "--years", "2021-2024")],
-        cwd=tmp_path, env=env, text=True, stderr=subprocess.PIPE,
+         *words(service, "--years", "2023-2024")],
+        cwd=tmp_path, text=True, stderr=subprocess.PIPE,
     )
-    while len(service.requests) < 3:
+    while len(service.requests) < 2:
         assert process.poll() is None
         time.sleep(0.05)
     process.send_signal(ended_by)
-    _, errors = process.communicate(timeout=15)
+    _, errors = process.communicate(timeout=60)
     assert not (tmp_path / "out.csv").exists()
     if ended_by == signal.SIGINT:
         assert process.returncode == 130
         assert "Traceback" not in errors
-    done = run(service, tmp_path, "--years", "2021-2024")
+    done = run(service, tmp_path, "--years", "2023-2024")
     assert done.returncode == 0, done.stderr
-    starts = [query["start_date"][:4] for query in service.requests]
-    assert starts == ["2020", "2022", "2023", "2023", "2024"]
+    starts = [query["start_date"] for query in service.requests]
+    assert starts == ["2022-12-31", "2024-01-01", "2024-01-01"]
     assert sorted(tmp_path.iterdir()) == [tmp_path / "out.csv"]
 
 
-@pytest.mark.parametrize("damage", ["empty", "half", "zeros"])
-def test_a_part_that_a_power_cut_has_damaged_is_requested_again(service, tmp_path, damage):
+@pytest.mark.parametrize("left", [0.0, 0.5])
+def test_a_part_that_a_power_cut_has_damaged_is_requested_again(service, tmp_path, left):
     source = archive(service, range(2022, 2024))
     part, whole = fetch_at_once(source, SITE, tmp_path)
     good, body = whole.read_bytes(), part.read_bytes()
-    part.write_bytes(
-        {"empty": b"", "half": body[: len(body) // 2], "zeros": bytes(len(body))}[damage]
-    )
+    part.write_bytes(body[: int(left * len(body))])
     fetch_at_once(source, SITE, tmp_path)
     assert (part.read_bytes(), whole.read_bytes()) == (body, good)
     starts = [query["start_date"][:4] for query in service.requests]
@@ -226,24 +195,18 @@ def test_a_full_disk_is_named_and_a_larger_one_goes_on(service, tmp_path):
         assert not (tmp_path / "disk" / "out.csv").exists()
 
 
-@pytest.mark.parametrize(("options", "reason"), [
-    *((["--years", years], "argument --years") for years in (
-        "last", "2020-", "1940-1950",
-    )),
-    (["--years", "2020-2199"], "years = 2199"),
-    (["--years", "2199", "--eccc", "48549"], "years = 2199"),
-    (["--years", "2020", "--eccc", "6158359"], "argument --eccc"),
-    (["--years", "2020", "--eccc", "-1"], "argument --eccc"),
-    (["--years", "2020", "--url", "ftp://a"], "must begin with http"),
-    *((["--years", "2020", "--output", file], f"--output = '{file}'") for file in (
-        "old.csv", "a.json", "none/a.csv",
-    )),
-    (["--years", "2020", "--site", "nowhere.yaml"], "longitude: must be in the site"),
-    (["--years", "2020", "--site", "nowhere.yaml", "--eccc", "1"], "must state its offset from"),
-    (["--eccc", "48549", "--years", "1999"], "the service has no hourly records for these years"),
-    (["--years", "2020", "--site", "high.yaml"], "must be within 300 m of the site's"),
+@pytest.mark.parametrize(("options", "key", "requests"), [
+    (["--years", "1940-1950"], "--years", 0),
+    (["--years", "2199", "--eccc", "48549"], "years = 2199", 0),
+    (["--years", "2020", "--eccc", "6158359"], "--eccc", 0),  # the number of another list
+    (["--years", "2020", "--url", "ftp://a"], "http", 0),
+    (["--years", "2020", "--output", "old.csv"], "--output = 'old.csv'", 0),
+    (["--years", "2020", "--site", "nowhere.yaml"], "longitude", 0),
+    (["--years", "2020", "--site", "nowhere.yaml", "--eccc", "1"], "offset", 1),
+    (["--eccc", "48549", "--years", "1999"], "no hourly records for these years", 12),
+    (["--years", "2020", "--site", "high.yaml"], "must be within 300 m of the site's", 1),
 ])
-def test_what_cannot_be_is_refused_at_once(service, tmp_path, options, reason):
+def test_what_cannot_be_is_refused_at_once(service, tmp_path, options, key, requests):
     (tmp_path / "old.csv").write_text("mine")
     site_file(tmp_path, elevation=1000.0).rename(tmp_path / "high.yaml")
     lines = site_file(tmp_path).read_text().splitlines()
@@ -252,11 +215,8 @@ def test_what_cannot_be_is_refused_at_once(service, tmp_path, options, reason):
         "\n".join(line for line in lines if not line.startswith(place))
     )
     done = run(service, tmp_path, *options)
-    assert done.returncode == 2
-    assert reason in " ".join(done.stderr.split())
-    assert "Traceback" not in done.stderr
-    asked = {"high.yaml": 1, "1": 1, "1999": 12}
-    assert len(service.requests) == asked.get(options[-1], 0)
+    assert done.returncode == 2 and len(service.requests) == requests
+    assert key in " ".join(done.stderr.split()) and "Traceback" not in done.stderr
     assert (tmp_path / "old.csv").read_text() == "mine"
 
 
@@ -272,9 +232,6 @@ def test_a_key_in_the_url_reaches_the_service_and_nothing_else(service, tmp_path
     texts = [file.read_text() for file in part.iterdir()] + [done.stdout, done.stderr]
     assert len(texts) == 3 and not any("0815" in text for text in texts)
     # What came with the key was escaped, too: it would clear the screen.
-    assert f"error: 2023-01-01 to 2024-01-01: {service.address}/v1/archive: 400 Bad Request: " in (
-        done.stderr
-    )
     assert "\\x1b[2J\\x07\\u202einvalid String value apikey=***&models=&lat" in done.stderr
     assert not {"\33", "\7", "\u202e"} & {*done.stderr}
     done = run(service, tmp_path, "--years", "2022-2023", "--url", paid)
@@ -283,9 +240,8 @@ def test_a_key_in_the_url_reaches_the_service_and_nothing_else(service, tmp_path
 
 
 @pytest.mark.parametrize("url", [
-    "archive-api.open-meteo.com/?apikey=s3cr3t", "http://", "http://[::1/?apikey=s3cr3t",
+    "archive-api.open-meteo.com/?apikey=s3cr3t", "http://[::1/?apikey=s3cr3t",
     "http://host:99999/?apikey=s3cr3t", "http://me:s3cr3t@host/", "http://host/a b?apikey=s3cr3t",
-    "http://h\u00f6st/?apikey=s3cr3t",
 ])
 def test_a_url_that_cannot_be_is_refused_without_its_key(url):
     told = refusal(open_meteo_archive, SITE, range(2020, 2021), TODAY, url)
@@ -304,27 +260,19 @@ def failure(service: WeatherService, directory: Path, source: Source) -> str:
 
 @pytest.mark.parametrize(("fault", "requests", "reason"), [
     # Both with the status 400, in the words of Open-Meteo's source.
-    ("No data is available for this location", 1, "400 Bad Request: "),
-    ("Timeout while reading value from disk", 8, "400 Bad Request: "),
-    ("missing", 1, "404 Not Found"),
-    ("fewer", 1, "sent no solar radiation values"),
-    ("dry", 1, "sent no precipitation values"),
-    ("tomorrow", 1, "Daily API request limit exceeded"),
-    ("html", 8, "is not valid JSON"),
-    ("half", 8, "IncompleteRead"),
-    ("short", 8, "sent .* to 2021-01-01T00:00.00:00 instead of .* to 2021-01-02"),
-    ("odd", 8, "must be a list with one value for each time"),
-    ("other", 8, "sent 2009-12-30T23:00.* instead of 2019-12-31"),
-    ("deep", 8, "is nested too deeply"),
+    ("No data is available for this location", 1, "400"),
+    ("Timeout while reading value from disk", 8, "400"),
+    ("unknown", 1, "404"), ("fewer", 1, "solar radiation"), ("dry", 1, "precipitation"),
+    ("tomorrow", 1, "Daily"), ("html", 8, "valid JSON"), ("half", 8, "IncompleteRead"),
+    ("short", 8, "instead of"), ("length", 8, "temperature_2m"), ("other", 8, "sent 2009-12-30"),
+    ("deep", 8, "nested too deeply"),
 ])
 def test_what_does_not_pass_is_tried_once_and_what_may_pass_eight_times(
     service, tmp_path, fault, requests, reason
 ):
     service.faults = 9 * [fault]
     told = failure(service, tmp_path / "part", archive(service))
-    with pytest.raises(ServiceError, match=reason):
-        raise ServiceError(told)
-    assert told.startswith("2019-12-31 to 2021-01-01: ")
+    assert reason in told and told.startswith("2019-12-31 to 2021-01-01: ")
     assert len(service.requests) == requests
     service.faults = []  # nothing of it is kept
     assert len(fetch_at_once(archive(service), SITE, tmp_path / "part")) == 1
@@ -339,7 +287,6 @@ def test_a_slow_service_is_given_up(service, tmp_path, monkeypatch):
 
 @pytest.mark.parametrize(("error", "wait"), [
     (ServiceError("429: Minutely API request limit exceeded. Please try again in one minute."), 60),
-    (ServiceError("429: Hourly API request limit exceeded. Try again in the next hour."), 3600),
     (ServiceError("429 Too Many Requests", 5.0), 5),
     (ServiceError("503 Service Unavailable"), 0),
 ])
@@ -361,7 +308,7 @@ def test_rain_that_no_gauge_measured_is_noted_also_beside_a_gauges(tmp_path):
 
 
 def test_parts_of_another_request_are_not_used(service, tmp_path):
-    service.faults = ["", "refusal"]
+    service.faults = ["", "No data is available for this location"]
     failure(service, tmp_path, archive(service, range(2019, 2021)))
     address = f"{service.address}/v1/archive"
 
@@ -374,16 +321,12 @@ def test_parts_of_another_request_are_not_used(service, tmp_path):
     assert not has_first(replace(SITE, latitude=43.7), address)
 
 
-@pytest.mark.parametrize(("offset", "expected"), [
-    (None, "-05:00"), (-4.0, "-04:00"), (-3.5, "+00:00"),
-])
+@pytest.mark.parametrize(("offset", "expected"), [(None, "-05:00"), (-3.5, "+00:00")])
 def test_years_are_of_the_sites_clock_or_of_solar_time(service, tmp_path, offset, expected):
     """With an offset of half an hour they are of UTC, in whose whole hours the service's are."""
     site = replace(SITE, utc_offset=offset)
     source = open_meteo_archive(site, range(2020, 2021), TODAY, f"{service.address}/v1/archive")
-    records = join_blocks(
-        fetch_at_once(source, site, tmp_path), site, range(2020, 2021)
-    )
+    records = join_blocks(fetch_at_once(source, site, tmp_path), site, range(2020, 2021))
     assert records.first == datetime.fromisoformat(f"2020-01-01T00:00{expected}")
     assert (records.hours, records.first.isoformat()[-6:]) == (8784, expected)
     assert not np.isnan(records.values[PRECIPITATION]).any()

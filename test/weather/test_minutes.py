@@ -269,7 +269,7 @@ def test_peaks_of_a_measured_roof(begin: str) -> None:
     )
     records = read_measured([file], site)
     dry, wet = site.wilting_volume, site.z_cap
-    for _ in range(10):
+    for _ in range(7):
         result = gr.simulate(
             lambda *_: 0.0, site=site, weather=records, start=first, hours=float(hours),
             initial=(20.0, (dry + wet) / 2), gaps=FILL,

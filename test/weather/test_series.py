@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import re
-import tracemalloc
 from dataclasses import replace
 from datetime import datetime, timedelta, timezone
 from pathlib import Path
@@ -85,19 +83,6 @@ def test_each_tick_has_its_hour(tau: float) -> None:
     assert series.precipitation.maximum == rain.max()
     with pytest.raises(IndexError):
         series.precipitation[steps + 10]
-
-
-def test_years_take_no_more_memory_than_hours() -> None:
-    """Three years of seconds: a few numbers per hour, and nothing per tick."""
-    weather = years(26_304)
-    site = replace(TORONTO, tau=1.0, M=10)
-    tracemalloc.start()
-    series = WeatherSeries(weather, site, weather.first, 26_000 * 3600)
-    series.at(26_000 * 3600)
-    peak = tracemalloc.get_traced_memory()[1]
-    tracemalloc.stop()
-    # A byte a tick would be 94 MB.
-    assert peak < 14e6
 
 
 # --- gaps that were filled ------------------------------------------------------------------------

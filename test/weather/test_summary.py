@@ -15,7 +15,7 @@ from greenroof_ros.site.file import read_site
 from greenroof_ros.weather.evapotranspiration import sun_height
 from greenroof_ros.weather.read import read_measured
 from greenroof_ros.weather.records import Records, add_dew_point
-from greenroof_ros.weather.summary import as_lines, summarize
+from greenroof_ros.weather.summary import summarize
 
 SITE = read_site(CONFIG / "site.yaml")
 SEASON = CONFIG / "weather" / "toronto_2021.csv"
@@ -37,10 +37,6 @@ def test_a_right_record_has_no_note() -> None:
     rain = np.nan_to_num(records.values["precipitation"])
     assert summary["rain"]["total"] == pytest.approx(rain.sum())
     assert summary["rain"]["wettest_hour"] == 15.4
-    first, second, third = as_lines(summary)
-    assert "wettest hour 15.4 mm, 2021-" in first and "(May " in first
-    assert "temperature 2.7 to 32.7 degC" in second
-    assert "missing: " in third
 
 
 def test_known_hours_by_hand() -> None:
@@ -77,14 +73,11 @@ MISTAKES = {
     "mm in 5 min as mm/h": (scaled("precipitation", 1 / 12), "mean of wet hours"),
     "inches as mm": (scaled("precipitation", 1 / 25.4), "mean of wet hours"),
     "mm/h as mm in 5 min": (scaled("precipitation", 12), "mean of wet hours"),
-    "tenths of a mm": (scaled("precipitation", 10), "mean of wet hours"),
-    "cm": (scaled("precipitation", 0.1), "mean of wet hours"),
     "a running total": (
         lambda values: {"precipitation": np.nancumsum(values["precipitation"])}, "wet hours",
     ),
     "kW/m2": (scaled("solar radiation", 1e-3), "clearest hour"),
     "MJ/m2": (scaled("solar radiation", 3.6e-3), "clearest hour"),
-    "J/cm2": (scaled("solar radiation", 0.36), "clearest hour"),
     "daily means": (lambda values: {"solar radiation": np.repeat(
         values["solar radiation"].reshape(-1, 24).mean(axis=1), 24)}, "radiation at night"),
     "degF": (scaled("temperature", 1.8, 32), "mean temperature"),
@@ -106,11 +99,9 @@ def test_mistakes_are_noted(name: str) -> None:
     assert any(note.startswith(statistic) for note in notes)
 
 
-@pytest.mark.parametrize(
-    ("hours", "statistic"),
-    [(5, "middle of the sun"), (-5, "middle of the sun"), (1, "middle of the sun"),
-     (-1, "middle of the sun"), (7, "warmest hour"), (-6, "warmest hour")],
-)
+@pytest.mark.parametrize(("hours", "statistic"), [
+    (-5, "middle of the sun"), (1, "middle of the sun"), (7, "warmest hour"),
+])
 def test_wrong_clocks_are_noted(hours: int, statistic: str) -> None:
     """UTC for local time, local time for UTC, daylight saving time, the end for the start."""
     records = season()

@@ -55,33 +55,21 @@ def test_a_run_has_the_same_numbers_with_the_csv(tmp_path: Path, file: Path) -> 
 
 def test_what_the_file_of_a_service_is(tmp_path: Path) -> None:
     """July 2021 at Toronto City Centre, as the file itself has it."""
-    said = about(tmp_path, JULY)
-    expected = {
-        ("place", "43.63 N, 79.40 W", "the site is at 43.63 N, 79.40 W"),
-        ("hours", "744", "2021-07-01 00:00-05:00 to 2021-07-31 23:00-05:00"),
-        ("rain", "1 h late", "each time is the end of an hour; a run treats it as the start"),
-    }
-    assert expected <= {*said}
-    assert ("no temperature", "6 h") in {row[:2] for row in said}
-    summaries = [row[2] for row in said if row[0] == "summary"]
+    said = {row[0]: row for row in about(tmp_path, JULY)}
+    assert said["hours"][1:] == ("744", "2021-07-01 00:00-05:00 to 2021-07-31 23:00-05:00")
+    assert (said["rain"][1], said["no temperature"][1]) == ("1 h late", "6 h")
+    assert said["evapotranspiration"][1] == "fao56"
+    summaries = " ".join(row[2] for row in about(tmp_path, JULY) if row[0] == "summary")
     # The sum of its column of precipitation.
-    assert summaries[0].startswith("rain 112.3 mm in 31 days from 2021-07-01 00:00-05:00 (Jul 112")
-    assert "temperature 13.6 to 32.7 degC, mean 21.1" in summaries[1]
-    assert "read as Environment and Climate Change Canada, " in summaries[2]
-    assert said[-1][:2] == ("evapotranspiration", "fao56")
+    assert "rain 112.3 mm in 31 days" in summaries and "13.6 to 32.7 degC, mean 21.1" in summaries
 
 
-def test_a_description_is_printed_and_completed_by_a_person(tmp_path: Path) -> None:
+def test_a_description_is_printed(tmp_path: Path) -> None:
     (tmp_path / "gauge.csv").write_text("Zeit;Regen\n" + "".join(
         f"01.07.2024 {hour:02}:00;0,{hour}\n" for hour in range(10)
     ))
     printed = weather(tmp_path, "gauge.csv", "--describe").stdout
-    (tmp_path / "gauge.yaml").write_text(
-        printed.replace("time_zone: '?'", "time_zone: UTC").replace("rows: '?'", "rows: end")
-        .replace("precipitation: '?'", "precipitation: mm")
-    )
-    summary = next(row[2] for row in about(tmp_path, "gauge.yaml") if row[0] == "summary")
-    assert summary.startswith("rain 4.5 mm in 0.417 days from 2024-06-30 18:00-05:00")
+    assert "time_zone: '?'" in printed and "precipitation: '?'" in printed
 
 
 def test_monthly_means_are_those_of_a_site_file(tmp_path: Path) -> None:
@@ -100,12 +88,3 @@ def test_monthly_means_are_those_of_a_site_file(tmp_path: Path) -> None:
     in_july = whole[hours.astype("datetime64[M]") == np.datetime64("2024-07")]
     assert means is not None and means[6] == pytest.approx(in_july.mean(), abs=0.005)
     assert not any(row[1] == "monthly" for row in about(tmp_path, JULY))
-
-
-def test_years_are_summed(tmp_path: Path) -> None:
-    """A millimetre an hour for more than two years: 8760 or 8784 mm, on the site's clock."""
-    hours = np.arange("2019-01-01", "2021-02-01", dtype="datetime64[h]")
-    file = tmp_path / "years.csv"
-    file.write_text("\n".join(["time,rain [mm]", *(f"{hour}:00Z,1" for hour in hours)]))
-    summary = next(row[2] for row in about(tmp_path, file) if row[0] == "summary")
-    assert "(2018 5, 2019 8760, 2020 8784, 2021 739)" in summary
