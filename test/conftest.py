@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING
 import pytest
 from graphs import Process, bring_up, reserved_domain
 from hypothesis import settings
-from inherited import no_state_of_the_user, pytest_configure
 from places import CONFIG, DATA, Once
 from studies import study
 
@@ -24,8 +23,6 @@ from greenroof_ros.site.file import read_site
 
 if TYPE_CHECKING:
     from ros_rig import Observer, Site
-
-__all__ = ["no_state_of_the_user", "pytest_configure"]
 
 # The same examples on every machine, without a time limit.
 settings.register_profile("greenroof_ros", deadline=None, derandomize=True)
