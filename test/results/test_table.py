@@ -12,7 +12,6 @@ from greenroof_ros.results.table import (
     EVENTS,
     event_rows,
     format_events,
-    parameter_columns,
 )
 
 START = datetime.fromisoformat("2021-07-07T02:00-05:00")
@@ -33,9 +32,3 @@ def test_events_in_a_file(tmp_path: Path) -> None:
     assert frame["complete"].to_list() == [False, True]
     assert frame["peak_delay_min"].to_list() == [None, 5.0]
     assert frame.drop("start").rows()[0] == tuple(EVENT)
-
-
-def test_parameters_are_columns_of_their_own() -> None:
-    """A parameter with the name of another column is not mistaken for it."""
-    row = {"hours": "12", **parameter_columns({"hours": "3", "gain": "20"})}
-    assert row == {"hours": "12", "parameter:hours": "3", "parameter:gain": "20"}

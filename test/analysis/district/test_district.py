@@ -9,14 +9,14 @@ from pathlib import Path
 import pytest
 from browsers import drawn_page
 from commands import run_command
-from districts import edit, write_district
+from studies import edit_district, write_district
 
 import greenroof_ros as gr
 
 
 def test_command(tmp_path: Path) -> None:
     """Tables and page agree with each other, and with Python with one thread."""
-    write_district(tmp_path, edit("07-07/07-09", "07-08/07-08"))
+    write_district(tmp_path, edit_district("07-07/07-09", "07-08/07-08"))
     command = "district", "district.yaml", "--output", "out", "--jobs", "2"
     result = run_command(*command, cwd=tmp_path, env=dict(os.environ))
     assert result.returncode == 0, result.stderr

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import polars as pl
 import pytest
-from districts import DISTRICT, WEATHER, edit, write_district
 from numpy.typing import NDArray
 from places import CONFIG
+from studies import DISTRICT, JULY, edit_district, write_district
 
 import greenroof_ros as gr
 from greenroof_ros.analysis.district.result import DistrictResult
@@ -48,7 +48,7 @@ def simulate_alone(building: dict[str, Any], outlet: str) -> dict[str, Any]:
     if outlet == "none":
         site = replace(site, low_outlet_level=None, low_outlet_radius=None)
     simulation = Simulation(make_inputs(find_controller("onoff"), {
-        "site": site, "weather": WEATHER, "start": "2021-07-07T00:00", "hours": 72.0,
+        "site": site, "weather": JULY, "start": "2021-07-07T00:00", "hours": 72.0,
         **({"outlet": outlet} if site.low_outlet_valve else {}),
     }).build())
     for _ in simulation.ticks():
@@ -58,7 +58,7 @@ def simulate_alone(building: dict[str, Any], outlet: str) -> dict[str, Any]:
 
 def read_rain() -> NDArray[np.float64]:
     """Return the rain of the three days (mm/h)."""
-    record, days = pl.read_csv(WEATHER, infer_schema_length=None), pl.col("Day").is_between(7, 9)
+    record, days = pl.read_csv(JULY, infer_schema_length=None), pl.col("Day").is_between(7, 9)
     return record.filter(days)["Precip. Amount (mm)"].cast(float).fill_null(0.0).to_numpy()
 
 
@@ -113,7 +113,7 @@ def test_seasons_and_draws(tmp_path: Path) -> None:
         f"{'' if year == 2022 and 100 <= n < 200 else (year - 2019) * (n % 50 == 0)},3\n"
         for year in (2020, 2021, 2022) for n in range(240)
     ))
-    text = edit(f"file: {WEATHER}, season: 07-07/07-09",
+    text = edit_district(f"file: {JULY}, season: 07-07/07-09",
                 "file: record.csv, season: 06-02/06-09, gaps: fill").replace("draws: 1", "draws: 2")
     result = simulate(tmp_path, text)
     rows = result.all_rows.filter(outlet="plan", adoption=1.0)
@@ -133,7 +133,7 @@ def test_seasons_and_draws(tmp_path: Path) -> None:
 def test_nobody_adopts(tmp_path: Path) -> None:
     """A share of less than half a building is none: the district is as it is, and all are alike."""
     drawn = DISTRICT[DISTRICT.index("draw:") : DISTRICT.index("weather:")]
-    result = simulate(tmp_path, edit("[0.25, 0.5, 1.0]", "[0.05]").replace(drawn, ""))
+    result = simulate(tmp_path, edit_district("[0.25, 0.5, 1.0]", "[0.05]").replace(drawn, ""))
     assert set(result.all_rows["buildings"]) == {0}
     assert "No green roofs" in result.sentence
     result.save(tmp_path / "out")

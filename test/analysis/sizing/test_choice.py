@@ -23,11 +23,6 @@ def test_knee(saved: list[float], amount: float, knee: int) -> None:
     assert find_knee(VOLUMES, np.array(saved), amount) == knee
 
 
-def test_knee_of_one_volume() -> None:
-    """It is the only one."""
-    assert find_knee([3.0], np.array([0.0]), 1.0) == 0
-
-
 @pytest.mark.parametrize(("lost", "target"), [
     ([0.2, 0.001, 0.0], 39.0), ([0.2, 0.05, 0.02], 43.0), ([0.0, 0.0, 0.0], 35.0),
 ])
