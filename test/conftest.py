@@ -32,7 +32,7 @@ settings.load_profile("greenroof_ros")
 LONGEST = (
     "test_fidelity.py", "test_packaging.py", "test_faults.py", "test_live_bringup.py",
     "test_node_checks.py", "test_calibrate.py", "test_fit.py",
-    "test_error_model.py", "test_report_page.py", "test_report.py",
+    "test_scenario_environments.py", "test_error_model.py", "test_report_page.py", "test_report.py",
 )
 
 

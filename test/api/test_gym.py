@@ -56,12 +56,6 @@ def test_rewards_add_up_to_the_deviation() -> None:
         roof.step(command)
 
 
-@pytest.mark.parametrize("ticks", [True, 0, 1.5])
-def test_refused_decisions(ticks: Any) -> None:
-    with pytest.raises(ConfigurationError, match=r"decision_ticks.*: must be a"):
-        gymnasium.make(ID, decision_ticks=ticks)
-
-
 def test_observation() -> None:
     """Shares of the ranges: levels, then 3.2 mm of rain in the three hours from 02:00."""
     roof = gymnasium.make(ID, hours=1, horizon=3)
@@ -172,11 +166,6 @@ def test_the_second_entry_commands_the_valve() -> None:
         wet.append(observation[-1])
     assert wet == pytest.approx([1, 1, 1, 1, 0.75, 0.5, 0.25, 0, 0, 0], abs=1e-3)
     assert info["metrics"] == same.metrics
-
-
-def test_no_policy_beside_the_action() -> None:
-    with pytest.raises(ConfigurationError, match="outlet = 'drain': is not an input"):
-        gymnasium.make(ID, site=VALVE_SITE, outlet="drain")
 
 
 @pytest.mark.parametrize("inputs", [{}, {"site": VALVE_SITE}])

@@ -132,10 +132,14 @@ def test_no_episode_of_the_training_reaches_the_scenario() -> None:
 def test_seeds_have_a_mean_and_a_spread() -> None:
     """Which are those of the seeds' own scores; an environment draws one of them."""
     known = gr.scenarios["dry-month"]
-    found = gr.score("anticipating_onoff", "dry-month", seeds=[1, 3], outlet="closed")
+
+    def in_dry_days(state: Any, forecast: Any) -> tuple[float, float]:
+        return float(state.roof_level < state.site.z_veg and not forecast.rain.any()), 0.0
+
+    found = gr.score(in_dry_days, "dry-month", seeds=[1, 3], horizon=24)
     assert found.values == [
-        known.evaluate(gr.simulate("anticipating_onoff", **{
-            **known.inputs, "forecast_seed": seed, "outlet": "closed",
+        known.evaluate(gr.simulate(in_dry_days, horizon=24, **{
+            **known.inputs, "forecast_seed": seed,
         })) for seed in (1, 3)
     ]
     assert found.values[0] != found.values[1]
@@ -203,6 +207,9 @@ def test_what_each_step_tells() -> None:
 
 @pytest.mark.parametrize(("inputs", "reason"), [
     ({"decision_tick": 3}, "decision_tick = 3: is not an input; did you mean decision_ticks"),
+    ({"decision_ticks": True}, "decision_ticks.*: must be a"),
+    ({"decision_ticks": 0}, "decision_ticks.*: must be a"),
+    ({"site": gr.read_site("site_valve.yaml"), "outlet": "drain"}, "outlet = 'drain': is not an"),
     ({"scenario": "dry-months"}, "did you mean dry-month"),
     ({"scenario": "dry-month", "hours": 3}, "hours = 3: is fixed by the scenario"),
     ({"scenario": "dry-month", "site": "site.yaml"}, "site = .*: is fixed by the scenario"),

@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import replace
 from datetime import datetime
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+import polars
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
@@ -16,6 +18,11 @@ from paper import PAPER_SITE, metrics_of, run_of_hours, site_with
 from greenroof_ros.physics.parameters import Flows, State
 from greenroof_ros.physics.storm_water import Event, connected_area
 from greenroof_ros.results.metrics import Metrics, Results
+from greenroof_ros.results.table import (
+    EVENTS,
+    event_rows,
+    format_events,
+)
 from greenroof_ros.simulation.loop import Simulation
 from greenroof_ros.site.site import Site
 
@@ -492,3 +499,24 @@ def test_any_run(
         assert event.peak_l_s <= five * (1 + 1e-9) + 1e-12
         assert max(event.volume_reduction, event.peak_reduction) <= 1
         assert (event.peak_delay_min is None) == (event.wet_discharge_m3 <= 1e-9)
+
+
+EVENT = Event(
+    start_h=23.25, hours=1 / 3, rain_mm=6.1, max_rain_5min_mm_h=48.0, max_rain_60min_mm_h=6.1,
+    discharge_m3=0.3, wet_discharge_m3=0.1, peak_l_s=1e-9, peak_mm_h=36.0, volume_reduction=-2.5,
+    peak_reduction=0.25, peak_delay_min=None, complete=False,
+)
+
+
+def test_events_in_a_file(tmp_path: Path) -> None:
+    """To the bit, as polars reads them; 23.25 h after 02:00 is 01:15 of the next day."""
+    rows = event_rows(datetime.fromisoformat("2021-07-07T02:00-05:00"), [
+        EVENT, EVENT._replace(start_h=100.0, peak_delay_min=5.0, complete=True),
+    ])
+    assert rows[0]["start"] == "2021-07-08T01:15:00-05:00"
+    (tmp_path / EVENTS).write_text(format_events(rows))
+    frame = polars.read_csv(tmp_path / EVENTS)
+    assert frame.columns == ["start", *Event._fields]
+    assert frame["complete"].to_list() == [False, True]
+    assert frame["peak_delay_min"].to_list() == [None, 5.0]
+    assert frame.drop("start").rows()[0] == tuple(EVENT)

@@ -1,7 +1,8 @@
-"""What a result states before its figures: site, weather and period, and what may mislead."""
+"""What a result states: site, weather and period, what may mislead, and the table at the end."""
 
 from __future__ import annotations
 
+import io
 import os
 import re
 import shlex
@@ -14,12 +15,15 @@ import pytest
 from commands import run_command
 from paper import paper_run
 from places import CHECKOUT, CONFIG
+from rich.console import Console
 
 import greenroof_ros as gr
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.bringup import simulated
 from greenroof_ros.commands import simulate
+from greenroof_ros.simulation import screen
 from greenroof_ros.simulation.loop import Simulation
+from greenroof_ros.simulation.loop import simulate as run_loop
 from greenroof_ros.simulation.options import build_run
 from greenroof_ros.simulation.run import note_pumps
 from greenroof_ros.site.file import read_site
@@ -128,3 +132,27 @@ def test_the_pump_runs_in_the_examples(line: str, monkeypatch: pytest.MonkeyPatc
     arguments = parser[words[0]].make_parser().parse_args(words[1:])
     flows = (tick.flows.pump for tick in Simulation(build_run(arguments)).ticks())
     assert any(pumped_m3 > 0.1 for pumped_m3 in accumulate(flows))  # in ticks of a second
+
+
+def test_no_raw_data() -> None:
+    """No dictionary, list or None in any row, for a run in which everything happened."""
+    run = paper_run(
+        "--hours", "0.1", "--forecast", "ensemble", "--roof-noise", "0.001", "--pump-min-on", "60",
+        "--weight", "0.01",
+    )
+    result = run_loop(run)[0] | {
+        "solver": {"mean_s": 1e-5, "p99_s": 1e-5, "max_s": 1e-5, "solves": 9, "fallbacks": 1},
+        "messages": {"/pump/flow": 361, "/clock": 361},
+        "refused": {"/pump/flow": 37, "/roof/level": 2},
+        "parameter_changes": [
+            {"tick": 300, "parameter": "weight", "before": 0.001, "value": 0.01},
+            {"tick": 301, "parameter": "most", "before": None, "value": 2.0},
+        ],
+        "parameter_change_count": 5,
+        "excess_starts": 2, "limited_steps": 0, "frost_hours": 2.0,
+        "weather_notes": ["rain was moved an hour back"],
+    }
+    stream = io.StringIO()
+    Console(file=stream, width=200).print(screen.grid("Result", screen.rows(result)))
+    text = stream.getvalue()
+    assert not set("{}[]'").intersection(text) and "None" not in text
