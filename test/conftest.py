@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING
 import pytest
 from graphs import Process, bring_up, reserved_domain
 from hypothesis import settings
-from inherited import no_state_of_the_user, pytest_configure
 from places import CONFIG, DATA, Once
 from studies import study
 
@@ -25,8 +24,6 @@ from greenroof_ros.site.file import read_site
 if TYPE_CHECKING:
     from ros_rig import Observer, Site
 
-__all__ = ["no_state_of_the_user", "pytest_configure"]
-
 # The same examples on every machine, without a time limit.
 settings.register_profile("greenroof_ros", deadline=None, derandomize=True)
 settings.load_profile("greenroof_ros")
@@ -35,7 +32,7 @@ settings.load_profile("greenroof_ros")
 LONGEST = (
     "test_fidelity.py", "test_packaging.py", "test_faults.py", "test_live_bringup.py",
     "test_node_checks.py", "test_calibrate.py", "test_fit.py",
-    "test_error_model.py", "test_report_page.py", "test_report.py",
+    "test_scenario_environments.py", "test_error_model.py", "test_report_page.py", "test_report.py",
 )
 
 

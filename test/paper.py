@@ -10,11 +10,12 @@ import math
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import replace
-from datetime import datetime, timedelta
+from datetime import datetime, timedelta, timezone
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import polars
 from hypothesis import strategies as st
 from numpy.typing import ArrayLike, NDArray
 from places import CONFIG
@@ -54,6 +55,24 @@ VALVE: dict[str, Any] = {
 }
 """Keys of a site file: a valve takes 2.8 m3/h at a head of 1.5 m; roofs drain into the cistern."""
 
+LIMITED: dict[str, Any] = {
+    "time_zone": "America/Toronto", "quiet_hours": ("22:00-01:30", "12:00-13:00"),
+    "tau": 60.0, "M": 1,
+}
+LIMITED_VALVE = read_site(CONFIG / "site.yaml", {
+    **VALVE, **LIMITED, "valve_closed_in_frost": True,
+})
+LIMITED_WHOLE = replace(LIMITED_VALVE, valve_moves_per_hour=4.0)
+LIMITED_SOIL = read_site(CONFIG / "site_neubrandenburg.yaml", LIMITED)
+"""Sites that together have everything that limits commands; the clocks change on 14 March."""
+
+IMPERFECT = {
+    "roof_noise": 0.002, "roof_offset": -0.001, "noise_seed": 2, "pump_min_on": 300.0,
+    "pump_min_off": 1200.0,
+}
+
+FIRST_OF_FOUR_DAYS = datetime(2021, 3, 12, 5, tzinfo=timezone.utc)
+
 ONOFF = find_controller("onoff")
 
 MIDNIGHT = datetime.fromisoformat("2021-07-07T00:00+00:00")
@@ -83,6 +102,20 @@ def weather_of(
     dry = np.array(np.broadcast_to(evapotranspiration, hourly.shape), dtype=float)
     values = {"precipitation": hourly, "evapotranspiration": dry, **quantities}
     return Weather((Path("drawn.csv"),), first, values, "drawn", minutes=minutes)
+
+
+def four_days(minutes: int = 60) -> polars.DataFrame:
+    """Return March weather: storms, drizzle and long dry hours, and frost in every night."""
+    rows = 4 * 1440 // minutes
+    times = [FIRST_OF_FOUR_DAYS + timedelta(minutes=minutes * row) for row in range(rows)]
+    chance = np.random.default_rng(4)
+    rain = chance.gamma(0.5, 6.0, rows) * (chance.random(rows) < 0.15)
+    hours = np.arange(rows) * minutes // 60
+    return polars.DataFrame({
+        "time": [time.isoformat() for time in times], "precipitation [mm/h]": rain.round(2),
+        "temperature [degC]": 5.0 - 7 * np.cos(2 * np.pi * (hours - 5) / 24),
+        "my evapotranspiration [mm/day]": 1.0 + hours % 7,
+    })
 
 
 def run_in(
@@ -132,6 +165,25 @@ def run_of_hours(
     rain, evapotranspiration, frost = (np.array(part) for part in zip(*hours, strict=True))
     weather = weather_of(rain, evapotranspiration, first, temperature=np.where(frost, -1.0, 1.0))
     return run_in(weather, site, x1, x2, **given)
+
+
+def find_wet(rain: NDArray[np.float64], tau: float, wet_after: float) -> NDArray[np.bool_]:
+    """Return whether it is wet in each tick: the words of the rule.
+
+    Rain counts at 0.1 mm/h, or within an hour after rain that counted.
+
+    Args:
+        rain: rain rate in each tick (mm/h).
+        tau: duration of a tick (s).
+        wet_after: time after rain that counts as wet weather (h).
+    """
+    last, wet = -math.inf, []
+    for tick, rate in enumerate(rain.tolist()):
+        since = (tick - 1 - last) * tau / 3600
+        if rate > 0.1 - 1e-9 or (rate > 0 and since < 1):
+            last = tick
+        wet.append(last == tick or since < wet_after)
+    return np.array(wet)
 
 
 def site_with(**changes: float) -> Site:

@@ -1,4 +1,4 @@
-"""Studies for the tests: the command, the same in this process, and a small grid."""
+"""Studies and districts for the tests: the command, the same in this process, small files."""
 
 from __future__ import annotations
 
@@ -12,14 +12,13 @@ from datetime import datetime, timedelta, timezone
 from pathlib import Path
 
 from commands import Forked, run_command
+from places import CONFIG, DATA
 
 from greenroof_ros.analysis.case import Case
 from greenroof_ros.analysis.grid import read_grid
 from greenroof_ros.analysis.store import StudyStore
 from greenroof_ros.analysis.study import run_study
-from greenroof_ros.base.files import shared_directory
 
-CONFIG = shared_directory() / "config"
 WEATHER = CONFIG / "weather" / "toronto_2021-07.csv"
 GRID = f"""
 site: {CONFIG / "site.yaml"}
@@ -34,6 +33,22 @@ controllers:
     weight: [1.0e-3, 0.1]
     max_command: 1.0
   onoff:
+"""
+
+JULY = DATA / "en_climate_hourly_07-2021.csv"
+# Two storms, with 23 mm and 13 mm within hours; dry days before, between and after them.
+DISTRICT = f"""
+site: site_valve.yaml
+buildings: 8
+draw:
+  catchment_area: {{mean: 200, sd: 120, low: 60, high: 1000}}
+  cistern_volume: {{mean: 3, sd: 2, low: 1.0, high: 6.0}}
+  substrate_depth: {{values: [0.08, 0.108]}}
+weather: {{file: {JULY}, season: 07-07/07-09}}
+draws: 1
+forecast: perfect
+adoption: [0.25, 0.5, 1.0]
+sewer_capacity: 2.0
 """
 
 
@@ -104,6 +119,19 @@ def edit_grid(old: str, new: str) -> str:
     """Return the grid with a replaced part."""
     assert old in GRID
     return GRID.replace(old, new)
+
+
+def write_district(directory: Path, text: str = DISTRICT) -> Path:
+    """Write a district's file."""
+    file = directory / "district.yaml"
+    file.write_text(text, encoding="utf-8")
+    return file
+
+
+def edit_district(old: str, new: str) -> str:
+    """Return the district with a replaced part."""
+    assert old in DISTRICT
+    return DISTRICT.replace(old, new)
 
 
 def archive(directory: Path, rain: float = 4.0) -> None:

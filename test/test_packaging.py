@@ -131,16 +131,6 @@ def package_index(tmp_path_factory):
 # -------------------------------------------------------------------------------------- pip
 
 
-def with_wheel(environment, released, extras=""):
-    """Install the wheel with its extras into a virtual environment, and return the environment."""
-    (wheel,) = released.glob("*.whl")
-    # The environment needs no pip of its own.
-    run(sys.executable, "-m", "pip", "--python", environment / "bin" / "python",
-        "install", "--no-compile", f"{wheel}{extras}", cwd=environment.parent,
-        env=bare_environment(Path(os.environ.get("HOME", environment.parent))))
-    return environment
-
-
 @pytest.fixture(scope="module")
 def released(package_index, tmp_path_factory):
     """Return the directory of sdist and wheel; the wheel is built from the sdist."""
@@ -151,19 +141,6 @@ def released(package_index, tmp_path_factory):
         cwd=checkout, env=environment)
     shutil.rmtree(checkout)  # nothing may depend on it any more
     return directory / "dist"
-
-
-@pytest.fixture(scope="module")
-def pip_installed(released, tmp_path_factory):
-    """Return a new virtual environment in which only the wheel was installed.
-
-    Tests further down add extras to it, so that what they have in common is installed once.
-    """
-    directory = tmp_path_factory.mktemp("pip")
-    # Without pip: installing it would take as long as everything else.
-    run(sys.executable, "-m", "venv", "--without-pip", directory / "venv",
-        cwd=directory, env=bare_environment(directory))
-    return with_wheel(directory / "venv", released)
 
 
 def test_a_package_index_would_take_the_release(released):
@@ -185,25 +162,6 @@ def test_a_package_index_would_take_the_release(released):
     assert Path("test") not in packed
 
 
-def test_pip_install_lays_everything_but_ros(pip_installed, tmp_path):
-    """No node gets a generic name on the PATH, such as weather."""
-    environment = bare_environment(tmp_path, pip_installed / "bin")
-    (packages,) = pip_installed.glob("lib/python*/site-packages")
-    names = [path.name for path in packages.iterdir()]
-    assert not [name for name in names if name.startswith(("ros", "rcl", "rmw", "std_msgs"))]
-    printed = run(
-        pip_installed / "bin" / "python", "-c", PRINT_SHARED_DIRECTORY,
-        cwd=tmp_path, env=environment,
-    )
-    module, shared = map(Path, printed.split())
-    assert_installed(module, pip_installed.resolve())
-    assert shared == pip_installed.resolve() / "share" / "greenroof_ros"
-    commands = pip_installed / "bin"
-    assert [name for name in SCRIPTS if os.access(commands / name, os.X_OK)] == [GREENROOF]
-    simulate = (commands / GREENROOF, "simulate", "--hours", "0.01")
-    assert run(*simulate, cwd=tmp_path, env=environment).strip()
-
-
 # Two runs of half an hour.
 SMALL_GRID = """
 site: site.yaml
@@ -217,15 +175,42 @@ controllers: {mpc: {}, onoff: {}}
 """
 
 
-def test_pip_install_with_extras_studies_and_reports(pip_installed, released, tmp_path):
-    """It works in any directory, without ROS: a user's grid, and the page of its results."""
-    greenroof = with_wheel(pip_installed, released, "[study]") / "bin" / GREENROOF
-    environment = bare_environment(tmp_path, pip_installed / "bin")
+def test_pip_install_lays_everything_but_ros(released, tmp_path):
+    """In any directory: a simulation, and with the extra a user's grid and the page of its results.
+
+    No node gets a generic name on the PATH, such as weather.
+    """
+    venv = tmp_path / "venv"
+    commands, environment = venv / "bin", bare_environment(tmp_path, venv / "bin")
+    # Without pip: installing it would take as long as everything else.
+    run(sys.executable, "-m", "venv", "--without-pip", venv, cwd=tmp_path, env=environment)
+
+    def install(extras):
+        (wheel,) = released.glob("*.whl")
+        run(sys.executable, "-m", "pip", "--python", commands / "python", "install",
+            "--no-compile", f"{wheel}{extras}", cwd=tmp_path,
+            env=bare_environment(Path(os.environ.get("HOME", tmp_path))))
+
+    def greenroof(*words):
+        return run(commands / GREENROOF, *words, cwd=tmp_path, env=environment)
+
+    install("")
+    (packages,) = venv.glob("lib/python*/site-packages")
+    names = [path.name for path in packages.iterdir()]
+    assert not [name for name in names if name.startswith(("ros", "rcl", "rmw", "std_msgs"))]
+    printed = run(
+        commands / "python", "-c", PRINT_SHARED_DIRECTORY, cwd=tmp_path, env=environment
+    )
+    module, shared = map(Path, printed.split())
+    assert_installed(module, venv.resolve())
+    assert shared == venv.resolve() / "share" / "greenroof_ros"
+    assert [name for name in SCRIPTS if os.access(commands / name, os.X_OK)] == [GREENROOF]
+    assert greenroof("simulate", "--hours", "0.01").strip()
+    install("[study]")  # what both have in common is installed once
     (tmp_path / "small.yaml").write_text(SMALL_GRID)
-    run(greenroof, "study", "small.yaml", "--output", "study", cwd=tmp_path, env=environment)
-    run(greenroof, "report", "study", cwd=tmp_path, env=environment)
-    table = (tmp_path / "study" / "results.csv").read_text().splitlines()
-    assert len(table) == 1 + 2
+    greenroof("study", "small.yaml", "--output", "study")
+    greenroof("report", "study")
+    assert len((tmp_path / "study" / "results.csv").read_text().splitlines()) == 1 + 2
     assert "</html>" in (tmp_path / "study" / "report" / "report.html").read_text()
     assert list((tmp_path / "study" / "report" / "figures").glob("*.png"))
 
@@ -243,50 +228,37 @@ def test_an_editable_install_works_in_the_folder_with_the_clone(tmp_path):
 # -------------------------------------------------------------------------------------- colcon
 
 
-@pytest.fixture(scope="module")
-def workspace(tmp_path_factory):
-    """Return a colcon workspace built from a copy of the checkout with nothing sourced."""
+def test_colcon_build_lays_everything_and_its_executables(tmp_path):
+    """Built from a copy of the checkout with nothing sourced; then only the workspace is."""
     next_to_python = Path(sys.executable).parent
     colcon = shutil.which("colcon", path=str(next_to_python)) or shutil.which("colcon")
     if colcon is None:
         pytest.skip("colcon is not installed; it is in the extra [test]")
-    directory = tmp_path_factory.mktemp("workspace")
-    copy_of_checkout(directory / "src" / "greenroof_ros")
-    printed = run(
-        colcon, "--log-base", directory / "log", "build", "--event-handlers", "console_direct+",
-        cwd=directory, env=bare_environment(directory, next_to_python),
+    environment = bare_environment(tmp_path, next_to_python)
+    copy_of_checkout(tmp_path / "src" / "greenroof_ros")
+    built = run(
+        colcon, "--log-base", tmp_path / "log", "build", "--event-handlers", "console_direct+",
+        cwd=tmp_path, env=environment,
     )
     # colcon also ends with 0 if it found nothing to build.
-    assert (directory / "install" / "setup.bash").is_file(), printed
-    assert "doesn't explicitly install" not in printed  # the marker, package.xml
-    shutil.rmtree(directory / "src")
-    shutil.rmtree(directory / "build")
-    return directory
-
-
-def sourced(workspace, tmp_path, command):
-    """Run a shell command after sourcing only the workspace."""
-    script = f"source {workspace}/install/setup.bash && {command}"
-    return run(
-        "bash", "--noprofile", "--norc", "-c", script,
-        cwd=tmp_path, env=bare_environment(tmp_path, Path(sys.executable).parent),
+    assert (tmp_path / "install" / "setup.bash").is_file(), built
+    assert "doesn't explicitly install" not in built  # the marker, package.xml
+    shutil.rmtree(tmp_path / "src")
+    shutil.rmtree(tmp_path / "build")
+    path = tmp_path / "install" / "greenroof_ros"
+    executables = path / "lib" / "greenroof_ros"  # where ros2 run looks
+    script = (
+        "source install/setup.bash && echo $AMENT_PREFIX_PATH && "
+        f"{sys.executable} -c '{PRINT_SHARED_DIRECTORY}' && "
+        f"{executables}/greenroof simulate --hours 0.01"
     )
-
-
-def test_colcon_build_lays_everything_and_its_executables(workspace, tmp_path):
-    printed = sourced(
-        workspace, tmp_path,
-        f"echo $AMENT_PREFIX_PATH && {sys.executable} -c '{PRINT_SHARED_DIRECTORY}'",
-    )
-    path, module, shared = map(Path, printed.split())
-    assert path == workspace / "install" / "greenroof_ros"
-    assert_installed(module, path.resolve())
-    assert shared == path.resolve() / "share" / "greenroof_ros"
-    # Where ros2 run looks.
-    executables = path / "lib" / "greenroof_ros"
+    printed = run("bash", "--noprofile", "--norc", "-c", script, cwd=tmp_path, env=environment)
+    prefix, module, shared, simulated = printed.split(maxsplit=3)
+    assert (Path(prefix), Path(shared)) == (path, path.resolve() / "share" / "greenroof_ros")
+    assert_installed(Path(module), path.resolve())
     names = [file.name for file in executables.iterdir() if os.access(file, os.X_OK)]
     assert sorted(names) == SCRIPTS
-    assert sourced(workspace, tmp_path, f"{executables}/greenroof simulate --hours 0.01").strip()
+    assert simulated.strip()
 
 
 # -------------------------------------------------------------------------------- the files agree
@@ -299,8 +271,7 @@ def options_of_setup(*commands):
         "from distutils.core import run_setup\n"
         f"d = run_setup('setup.py', {list(commands)}, stop_after='init')\n"
         "print(json.dumps(dict(name=d.get_name(), version=d.get_version(),"
-        " license=d.metadata.license, maintainer=d.metadata.maintainer,"
-        " email=d.metadata.maintainer_email, entry_points=d.entry_points,"
+        " license=d.metadata.license, entry_points=d.entry_points,"
         " install_requires=d.install_requires, extras_require=d.extras_require)))\n"
     )
     printed = subprocess.run(
@@ -331,17 +302,10 @@ def distribution(requirement):
     return re.match(r"[A-Za-z0-9._-]+", requirement)[0].lower().replace("_", "-")
 
 
-def test_package_xml_is_what_setup_py_reports(manifest, setup_options):
-    assert manifest.package_format == 3
+def test_the_files_agree_on_name_version_and_licence(manifest, setup_options):
     assert manifest.get_build_type() == "ament_python"
     assert manifest.name == setup_options["name"] == "greenroof_ros"
     assert [str(text) for text in manifest.licenses] == [setup_options["license"]]
-    assert [(person.name, person.email) for person in manifest.maintainers] == [
-        (setup_options["maintainer"], setup_options["email"])
-    ]
-
-
-def test_version_is_the_same_everywhere(manifest, setup_options):
     changelog = (CHECKOUT / "CHANGELOG.rst").read_text(encoding="utf-8")
     # REP 132: a version, then its date in parentheses, underlined; the newest comes first.
     heading = r"^(\S+) \((?:forthcoming|\d{4}-\d\d-\d\d)\)\n-{5,}$"
@@ -422,13 +386,3 @@ def test_the_services_use_options_that_exist(unit: Path) -> None:
         drives.add((getattr(given, "drive", ""), getattr(given, "drive_at", "")))
         assert "--allow-release" not in options
     assert commands and len(drives) == 1  # the one that runs is the one that is stopped
-
-
-def test_the_makefile_uses_options_that_exist():
-    """Its targets run commands of the package; each of their options must still be one."""
-    makefile = (CHECKOUT / "Makefile").read_text()
-    lines = re.findall(r"-m greenroof_ros (study|report)((?: [\w/.-]+)*)", makefile)
-    assert {name for name, _ in lines} == {"study", "report"}
-    for name, words in lines:
-        module = importlib.import_module(f"greenroof_ros.commands.{name}")
-        module.make_parser().parse_args(words.split())

@@ -50,10 +50,7 @@ def test_default_window_is_the_local_summer() -> None:
     assert (window.days, window.name(2015)) == (181, "2015/16")
 
 
-@pytest.mark.parametrize("text", [
-    "", "5-1/10-31", "05-01", "05-01/10-32", "13-01/10-31", "02-29/10-31", "2015-05-01/2015-10-31",
-    "05-01 10-31", 5,
-])
+@pytest.mark.parametrize("text", ["", "5-1/10-31", "05-01/10-32", "02-29/10-31", 5])
 def test_wrong_windows(text: Any) -> None:
     """The message shows the form."""
     with pytest.raises(ConfigurationError, match=r"season = .*such as 05-01/10-31"):

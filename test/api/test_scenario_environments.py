@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import math
-import os
-import subprocess
-import sys
 import warnings
+from collections.abc import Callable
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
@@ -23,12 +21,20 @@ gymnasium = pytest.importorskip("gymnasium", reason="gymnasium is not installed"
 ID, VECTOR_ID = "greenroof_ros.gym:GreenRoof-v1", "greenroof_ros.gym:GreenRoofVector-v1"
 
 
-def play(roof: Any, seed: int | None = None, actions: int = 1) -> tuple[float, dict[str, Any]]:
-    """Play an episode of random actions; return the cost by its rewards, and its last info."""
-    _, info = roof.reset(seed=seed)
-    cost, ended, chance = info["initial_score"], False, np.random.default_rng(actions)
+def play(
+    roof: Any, seed: int | None = None, policy: Callable[[Any], Any] | None = None,
+    actions: int = 1,
+) -> tuple[float, dict[str, Any]]:
+    """Play an episode; return the cost by its rewards, and its last info.
+
+    The policy chooses an action for an observation; by default actions are random.
+    """
+    chance = np.random.default_rng(actions)
+    policy = policy or (lambda _: chance.random(roof.action_space.shape))
+    observation, info = roof.reset(seed=seed)
+    cost, ended = info["initial_score"], False
     while not ended:
-        _, reward, _, ended, last = roof.step(chance.random(roof.action_space.shape))
+        observation, reward, _, ended, last = roof.step(policy(observation))
         cost -= reward
     return cost, last
 
@@ -40,14 +46,13 @@ def test_the_rewards_add_up_to_the_score(name: str) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         roof = gymnasium.make(ID, scenario=name, decision_ticks=ticks).unwrapped
-        ends = [play(roof, seed) for seed in (None, 0, 11)]
-    assert ends[0] == ends[1] == ends[2]
-    cost, last = ends[0]
-    assert cost == pytest.approx(last["score"], rel=0, abs=1e-9)
-    assert play(roof, 0, actions=2)[1]["score"] != last["score"]
-    assert gr.scenarios[name].evaluate(roof.result()) == pytest.approx(
-        play(roof, 0, actions=2)[0], rel=0, abs=1e-9
-    )
+        ends = [play(roof, seed, actions=actions) for seed, actions in ((None, 1), (11, 1), (0, 2))]
+    assert ends[0] == ends[1]
+    for cost, last in ends[1:]:
+        assert cost == pytest.approx(last["score"], rel=0, abs=1e-9)
+    assert ends[2][0] != ends[1][0]
+    result = gr.scenarios[name].evaluate(roof.result())
+    assert result == pytest.approx(ends[2][0], rel=0, abs=1e-9)
 
 
 class Policy:
@@ -89,18 +94,13 @@ def test_models_functions_and_classes_of_the_same_policy_have_one_score() -> Non
         warnings.simplefilter("error")
         scores = [gr.score(each, "dry-month") for each in (function, Mine, Plain())]
     assert len({each.value for each in scores}) == 1
-    assert repr(scores[2]).count("yours: Plain\n") + repr(scores[2]).endswith("yours: Plain") == 1
     roof = gymnasium.make(ID, scenario="dry-month").unwrapped
-    observation, info = roof.reset(seed=5)
-    cost, ended = info["initial_score"], False
-    while not ended:
-        observation, reward, _, ended, _ = roof.step(Plain().predict(observation))
-        cost -= reward
+    cost, _ = play(roof, 5, Plain().predict)
     assert cost == pytest.approx(scores[0].value, rel=0, abs=1e-9)
     # With a decision in every hour, a policy is another one.
     Policy.observation_space = roof.observation_space
     hourly = gr.score(Policy(), "dry-month", decision_ticks=12)
-    assert hourly.name == "Policy, decision_ticks=12" and hourly.value != scores[0].value
+    assert hourly.value != scores[0].value
     refusal(
         lambda: gr.score(Policy(), "dry-month", horizon=6),
         match=r"the model: takes observations of shape .* give the horizon of its training",
@@ -112,11 +112,7 @@ def test_rewards_count_the_mains_water_of_other_uses() -> None:
     site = gr.read_site("site_valve.yaml", other_demand=50_000.0, tau=300.0)
     site = replace(site, mains_level=None, mains_flow=None)
     roof = gymnasium.make(ID, site=site, hours=48).unwrapped
-    _, info = roof.reset()
-    cost, ended = info["initial_score"], False
-    while not ended:
-        _, reward, _, ended, info = roof.step([0.0, 0.0])
-        cost -= reward
+    cost, info = play(roof, policy=lambda _: [0.0, 0.0])
     metrics = info["metrics"]
     assert metrics["mains_m3"] > 1
     expected = (
@@ -135,15 +131,20 @@ def test_no_episode_of_the_training_reaches_the_scenario() -> None:
 
 def test_seeds_have_a_mean_and_a_spread() -> None:
     """Which are those of the seeds' own scores; an environment draws one of them."""
-    found = gr.score("lookahead", "dry-month", seeds=[1, 3])
-    alone = gr.simulate("lookahead", **{**gr.scenarios["dry-month"].inputs, "forecast_seed": 3})
+    known = gr.scenarios["dry-month"]
+
+    def in_dry_days(state: Any, forecast: Any) -> tuple[float, float]:
+        return float(state.roof_level < state.site.z_veg and not forecast.rain.any()), 0.0
+
+    found = gr.score(in_dry_days, "dry-month", seeds=[1, 3], horizon=24)
     assert found.values == [
-        pytest.approx(1.35844, rel=1e-5),  # config/scenarios.csv
-        gr.scenarios["dry-month"].evaluate(alone),
+        known.evaluate(gr.simulate(in_dry_days, horizon=24, **{
+            **known.inputs, "forecast_seed": seed,
+        })) for seed in (1, 3)
     ]
+    assert found.values[0] != found.values[1]
     assert found.value == pytest.approx(sum(found.values) / 2)
-    low, high = sorted(found.values)
-    assert f"({low:.2f} to {high:.2f} with 2 seeds)" in repr(found).splitlines()[0]
+    assert "with 2 seeds" in repr(found)
     first = {
         draw: gymnasium.make(ID, scenario="dry-month", draw=draw).reset(seed=draw)[0].tolist()
         for draw in (None, 1, 3)
@@ -151,8 +152,6 @@ def test_seeds_have_a_mean_and_a_spread() -> None:
     assert first[None] == first[1] != first[3]
     for seeds in (0, 1.5, []):
         refusal(lambda seeds=seeds: gr.score("onoff", "dry-month", seeds=seeds), match="seeds")
-    models = gr.score(Plain(), "dry-month", seeds=2).values
-    assert models[0] == gr.score(Plain(), "dry-month").value
     refusal(lambda: gr.score("onoff", "paper", seeds=2), match="forecast_seed = 1: is an option of")
 
 
@@ -208,6 +207,9 @@ def test_what_each_step_tells() -> None:
 
 @pytest.mark.parametrize(("inputs", "reason"), [
     ({"decision_tick": 3}, "decision_tick = 3: is not an input; did you mean decision_ticks"),
+    ({"decision_ticks": True}, "decision_ticks.*: must be a"),
+    ({"decision_ticks": 0}, "decision_ticks.*: must be a"),
+    ({"site": gr.read_site("site_valve.yaml"), "outlet": "drain"}, "outlet = 'drain': is not an"),
     ({"scenario": "dry-months"}, "did you mean dry-month"),
     ({"scenario": "dry-month", "hours": 3}, "hours = 3: is fixed by the scenario"),
     ({"scenario": "dry-month", "site": "site.yaml"}, "site = .*: is fixed by the scenario"),
@@ -280,26 +282,19 @@ def test_a_part_of_a_run_as_a_chart() -> None:
     """With the opening of the valve as a panel, if it opens."""
     result = gr.simulate("onoff", **gr.scenarios["storm-minutes"].inputs, outlet="drain")
     described = result.plot("2019-07-29T20:00", datetime(2019, 7, 30, 2)).to_dict()  # noqa: DTZ001
-    titles = [view.get("encoding", view.get("layer", [{}])[0].get("encoding"))["y"]["title"]
-              for view in described["vconcat"]]
-    assert titles[-1] == "valve opening (1)"
+    assert len(described["vconcat"]) == 6
     times = [row["t"] for rows in described["datasets"].values() for row in rows if "t" in row]
     assert (max(times) - min(times)) / 3.6e6 == 6.0
     refusal(lambda: result.plot("2020-01-01T00:00"), match="start and end: must include two")
 
 
-def test_packaged_files_are_found_by_name(tmp_path: Path) -> None:
-    """From any folder, in Python and on the command line."""
-    code = (
-        "import greenroof_ros as gr; r = gr.simulate('onoff', site='site_valve.yaml', "
-        "weather='toronto_2021.csv', hours=1, start='2021-07-07'); print(r.run.site.a_in)"
+def test_packaged_files_are_found_by_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """From any folder."""
+    monkeypatch.chdir(tmp_path)
+    roof = gr.Environment(
+        site="site_valve.yaml", weather="config/weather/toronto_2021.csv", hours=1,
+        start="2021-07-07",
     )
-    environment = {**os.environ, "PYTHONWARNINGS": "ignore"}
-    command = ["-m", "greenroof_ros", "simulate", "--site", "site_valve.yaml", "--weather",
-               "config/weather/toronto_2021.csv", "--hours", "1", "--start", "2021-07-07", "--json"]
-    for arguments in (["-c", code], command):
-        done = subprocess.run(
-            [sys.executable, *arguments], cwd=tmp_path, env=environment, capture_output=True,
-            text=True, check=True,
-        )
-        assert "300.0" in done.stdout or "site_valve.yaml" in done.stdout
+    assert roof.site.a_in == 300.0

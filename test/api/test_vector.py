@@ -9,7 +9,14 @@ from typing import Any
 import numpy as np
 import polars
 import pytest
-from commanded_sites import FIELD_CAPACITY, FIRST, IMPERFECT, VALVE_SITE, WHOLE_SITE, weather
+from paper import (
+    FIRST_OF_FOUR_DAYS,
+    IMPERFECT,
+    LIMITED_SOIL,
+    LIMITED_VALVE,
+    LIMITED_WHOLE,
+    four_days,
+)
 from places import CONFIG
 from refusals import refusal
 
@@ -20,31 +27,31 @@ gymnasium = pytest.importorskip("gymnasium", reason="gymnasium is not installed"
 
 ID = "greenroof_ros.gym:GreenRoofVector-v1"
 MINUTES = gr.read_site(tau=60.0, M=1)
-RANDOM = {"start": "random", "hours": 9, "decision_ticks": 47, "horizon": 6}
+RANDOM = {
+    "weather": four_days(), "start": "random", "hours": 9, "decision_ticks": 47, "horizon": 6,
+}
 
 CASES: dict[str, dict[str, Any]] = {
-    "the paper's site": {"hours": 0.02, "decision_ticks": 7},
-    "one tick": {"hours": 1 / 3600, "horizon": 0.1},
-    "valve, frost, quiet hours": {"site": VALVE_SITE, "weather": weather(), **RANDOM},
-    "whole openings": {"site": WHOLE_SITE, "weather": weather(), **RANDOM},
-    "not at a full minute": {
-        "site": VALVE_SITE, "weather": weather(), **RANDOM, "start": "2021-03-13T19:20:30-04:00",
-        "hours": 17,
+    "one tick of the paper's site": {"hours": 1 / 3600, "horizon": 0.1},
+    "valve, frost, quiet hours": {"site": LIMITED_VALVE, **RANDOM},
+    "whole openings, not at a full minute": {
+        "site": LIMITED_WHOLE, **RANDOM, "start": "2021-03-13T19:20:30-04:00", "hours": 17,
     },
-    "sensor and pump": {"site": FIELD_CAPACITY, "weather": weather(), **RANDOM, **IMPERFECT},
+    "many, in threads": {"site": LIMITED_VALVE, **RANDOM, "hours": 2},
+    "sensor and pump": {"site": LIMITED_SOIL, **RANDOM, **IMPERFECT},
     "end of the record": {
-        "site": MINUTES, "weather": weather(), **RANDOM, "start": "2021-03-15T19:00Z",
-        "horizon": 240,
+        "site": MINUTES, **RANDOM, "start": "2021-03-15T19:00Z", "horizon": 240,
     },
-    "rain in five minutes": {"site": MINUTES, "weather": weather(5), **RANDOM},
-    "ticks of four minutes": {
-        "site": gr.read_site(tau=240.0, M=1), "weather": weather(5), **RANDOM,
+    "rain in five minutes, ticks of four": {
+        "site": gr.read_site(tau=240.0, M=1), **RANDOM, "weather": four_days(5),
     },
-    "ticks of seven seconds": {
-        "site": gr.read_site(tau=7.0, M=3), "weather": weather(), **RANDOM, "hours": 0.7,
+    "ticks of seven seconds": {"site": gr.read_site(tau=7.0, M=3), **RANDOM, "hours": 0.7},
+    "a reward of one's own": {
+        "site": LIMITED_VALVE, **RANDOM,
+        "reward": lambda tick, state: tick.flows.pump + state.roof * tick.outlet,
     },
-    "errors": {"site": MINUTES, "weather": weather(), **RANDOM, "forecast": "errors"},
-    "ensemble": {"site": MINUTES, "weather": weather(), **RANDOM, "forecast": "ensemble"},
+    "errors": {"site": MINUTES, **RANDOM, "forecast": "errors"},
+    "ensemble": {"site": MINUTES, **RANDOM, "forecast": "ensemble"},
     "archive": {
         "site": MINUTES, "hours": 9, "decision_ticks": 47,
         "forecast": str(CONFIG / "forecasts" / "rain_that_never_comes.csv"),
@@ -67,7 +74,7 @@ def flatten(infos: dict[str, Any], prefix: str = "") -> dict[str, Any]:
 @pytest.mark.parametrize("case", CASES)
 def test_each_environment_is_a_single_one(case: str, way: None) -> None:
     """Those of Gymnasium's own vector environment, over two ends of episodes."""
-    inputs, count = CASES[case], 4
+    inputs, count = CASES[case], 150 if "threads" in case else 4
     ours = gymnasium.make_vec(ID, num_envs=count, **inputs)
     theirs = gymnasium.make_vec(
         "greenroof_ros.gym:GreenRoof-v1", num_envs=count, vectorization_mode="sync", **inputs
@@ -90,30 +97,9 @@ def test_each_environment_is_a_single_one(case: str, way: None) -> None:
         results = [each.step(actions) for each in (ours, theirs)]
 
 
-def test_threads_share_many_environments() -> None:
-    """A hundred and fifty, of which those at the ends of the threads' parts are compared."""
-    inputs = {"site": VALVE_SITE, "weather": weather(), **RANDOM}
-    roofs = gymnasium.make_vec(ID, num_envs=150, **inputs)
-    observations, infos = roofs.reset(seed=[*range(150)])
-    actions = np.random.default_rng(1).random((150, 2))
-    for _ in range(12):
-        after, rewards, *_, last = roofs.step(actions)
-    for row in (0, 74, 75, 149):
-        roof = gymnasium.make("greenroof_ros.gym:GreenRoof-v1", **inputs)
-        first, info = roof.reset(seed=row)
-        assert first.tobytes() == observations[row].tobytes()
-        assert info["start"] == infos["start"][row]
-        for _ in range(12):
-            expected, reward, _, _, ended = roof.step(actions[row])
-        assert expected.tobytes() == after[row].tobytes() and reward == rewards[row]
-        for name, value in ended["metrics"].items():
-            assert last["metrics"][name][row] == value, name
-    roofs.close()
-
-
 def test_seeds_and_options() -> None:
     """As of a single environment: a seed for each, options for all, and then the own start."""
-    inputs = {"site": MINUTES, "weather": weather(), "hours": 2, "start": "2021-03-13T00:00Z"}
+    inputs = {"site": MINUTES, "weather": four_days(), "hours": 2, "start": "2021-03-13T00:00Z"}
     roofs = gymnasium.make_vec(ID, num_envs=3, **{**inputs, "start": "random"})
     _, drawn = roofs.reset(seed=7)
     assert roofs.reset(seed=[9, 8, 7])[1]["start"][2] == drawn["start"][0]
@@ -129,7 +115,7 @@ def test_seeds_and_options() -> None:
 
 def test_random_starts_lack_no_hour() -> None:
     """All hours are drawn from which an episode of 9 h and a tick could be simulated, no other."""
-    frame = weather().with_columns(
+    frame = four_days().with_columns(
         polars.when(polars.int_range(polars.len()).is_between(*missing)).then(None)
         .otherwise(polars.col(name)).alias(name) for name, missing in {
             "precipitation [mm/h]": (20, 21), "temperature [degC]": (50, 60),
@@ -141,24 +127,10 @@ def test_random_starts_lack_no_hour() -> None:
     del inputs["decision_ticks"]
     possible = set()
     for hour in range(96 - 9):
-        start = (FIRST + timedelta(hours=hour)).isoformat()
+        start = (FIRST_OF_FOUR_DAYS + timedelta(hours=hour)).isoformat()
         with suppress(ConfigurationError):
             possible.add(gr.Environment(**{**inputs, "start": start}).state.time.isoformat())
     assert drawn == possible and 20 < len(possible) < 70
-
-
-def test_a_reward_of_ones_own() -> None:
-    """Every environment has that of a single one."""
-    inputs = {"site": VALVE_SITE, "weather": weather(), **RANDOM}
-    inputs["reward"] = lambda tick, state: tick.flows.pump + state.roof * tick.outlet
-    roofs = gymnasium.make_vec(ID, num_envs=3, **inputs)
-    roofs.reset(seed=4)
-    actions = np.random.default_rng(2).random((3, 2))
-    rewards = [roofs.step(actions)[1] for _ in range(2)]
-    for row in range(3):
-        roof = gymnasium.make("greenroof_ros.gym:GreenRoof-v1", **inputs)
-        roof.reset(seed=4 + row)
-        assert [roof.step(actions[row])[1] for _ in range(2)] == [each[row] for each in rewards]
 
 
 @pytest.mark.parametrize("actions", [

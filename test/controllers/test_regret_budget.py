@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
-from adversaries import TOGETHER, with_forecasts
+from numpy.typing import NDArray
 from paper import (
     PAPER_SITE,
     advance,
@@ -22,10 +24,13 @@ from places import CONFIG, DATA
 
 from greenroof_ros.controllers.registry import find_controller
 from greenroof_ros.controllers.regret_budget import RegretBudget
+from greenroof_ros.forecast.steps import SteppedForecast
 from greenroof_ros.physics.pump import maximum_pump_flow
+from greenroof_ros.simulation.inputs import find_needs
 from greenroof_ros.simulation.run import Run
 from greenroof_ros.site.file import read_site
-from greenroof_ros.site.horizon import growing_steps
+from greenroof_ros.site.horizon import growing_steps, look_ahead_ends
+from greenroof_ros.weather.series import Weather
 
 EMPTY_HOUR = 3600 * PAPER_SITE.x2_star  # m3 s
 STEPS = len(growing_steps(12)) - 1
@@ -48,9 +53,60 @@ def a_week(directory: Path, *options: str) -> Run:
     return rain_scaled(run, 0.1)
 
 
+ALWAYS_RAIN = "always rain"
+
+
+class Adversary:
+    """Hourly forecasts that are made to mislead: rain without end, or all kinds as an ensemble."""
+
+    notes = ()
+
+    def __init__(self, kind: str, weather: Weather) -> None:
+        self._kind = kind
+        self._weather = weather
+
+    def forecast(
+        self, hour: int, hours: int
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64], None]:
+        """Return rain (mm/h), shape (members, hours), the true evapotranspiration (mm/day), None.
+
+        The last says that these forecasts have no times of issue.
+        """
+        records = self._weather.precipitation
+        last = len(records) - 1
+        ahead = hour + np.arange(hours)
+        now = np.minimum(ahead, last)
+        tomorrow = (ahead - hour >= 24) & (ahead - hour < 30)
+        rain = np.full(hours, 2.0)
+        members = [rain] if self._kind == ALWAYS_RAIN else [
+            rain, np.zeros(hours), np.where(tomorrow, 8.0, 0.0),
+            np.where(records[now] > 0, 0.0, 0.7),
+            records[np.minimum(ahead + 24, last)], records[np.maximum(now - 24, 0)],
+            records[now] + np.where(ahead % 168 < 6, 8.0, 0.0),
+        ]
+        return np.stack(members), self._weather.evapotranspiration[now], None
+
+    def check(self, hours: range) -> None:
+        """Accept all hours: these forecasts lack nothing."""
+
+    def end(self, hour: int) -> datetime:
+        """Return a time after every run: these forecasts have no end."""
+        return self._weather.end + timedelta(days=366)
+
+
+def with_forecasts(run: Run, kind: str) -> Run:
+    """Return a run whose controller gets false forecasts."""
+    all_members, outlet_horizon = find_needs(run.controller, run.parameters)
+    ends = look_ahead_ends(run.site, run.parameters.get("horizon", 0.0), outlet_horizon)
+    return replace(run, forecast=SteppedForecast(
+        Adversary(kind, run.weather), run.weather, run.series, run.site, run.start, ends,
+        all_members,
+    ))
+
+
 @pytest.mark.parametrize(("controller", "strength", "kind"), [
-    ("anticipating_onoff", "--fraction", "always rain"),
-    ("lookahead", "--max-command", TOGETHER),
+    ("anticipating_onoff", "--fraction", ALWAYS_RAIN),
+    ("lookahead", "--max-command", "all kinds"),
 ])
 def test_an_adversary_costs_at_most_the_budget(
     controller: str, strength: str, kind: str, tmp_path: Path

@@ -5,12 +5,13 @@ from __future__ import annotations
 import csv
 import json
 import math
+from collections.abc import Sequence
 from datetime import datetime, timedelta
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
-from archives import answer
 from places import CONFIG, DATA
 from refusals import refusal
 
@@ -22,6 +23,26 @@ TORONTO = read_site(CONFIG / "site.yaml")
 GEM = DATA / "gem_global_previous_runs_2024-03.csv"
 KNMI = DATA / "knmi_seamless_previous_runs_2024-02.csv"
 HOUR = timedelta(hours=1)
+UNITS = {
+    "temperature_2m": "°C", "dew_point_2m": "°C", "relative_humidity_2m": "%",
+    "wind_speed_10m": "km/h", "surface_pressure": "hPa", "shortwave_radiation": "W/m²",
+}
+
+
+def answer(first: str, hours: int, **columns: Sequence[Any]) -> dict[str, Any]:
+    """Return an answer of Open-Meteo about Toronto, in GMT; without a value a unit is undefined."""
+    start = datetime.fromisoformat(first)
+    return {
+        "latitude": 43.62, "longitude": -79.42, "elevation": 77.0, "utc_offset_seconds": 0,
+        "hourly_units": {"time": "iso8601", **{
+            name: "undefined" if set(values) == {None} else UNITS.get(name, "mm")
+            for name, values in columns.items()
+        }},
+        "hourly": {
+            "time": [f"{start + timedelta(hours=hour):%Y-%m-%dT%H:%M}" for hour in range(hours)],
+            **columns,
+        },
+    }
 
 
 def saved(file: Path) -> dict[datetime, list[float]]:

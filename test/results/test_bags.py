@@ -98,16 +98,13 @@ def test_a_whole_bag_comes_out_as_it_is(tmp_path: Path) -> None:
     assert messages_of(tmp_path / "bag-recovered" / "bag-recovered_0.mcap") == written
 
 
-def damaged(bag: Path, at: int, content: bytes) -> None:
-    """Overwrite a part of a bag's file, from an offset on; from its end if that is negative."""
+def damaged(bag: Path, at: int, content: bytes | None = None) -> None:
+    """Overwrite a part of a bag's file, or flip a bit; an offset below 0 is from the file's end."""
     with (bag / "bag_0.mcap").open("r+b") as stream:
-        stream.seek(at, os.SEEK_END if at < 0 else os.SEEK_SET)
+        at = stream.seek(at, os.SEEK_END if at < 0 else os.SEEK_SET)
+        content = content or bytes([stream.read(1)[0] ^ 8])
+        stream.seek(at)
         stream.write(content)
-
-
-def flipped(bag: Path, at: int, bit: int) -> None:
-    byte = (bag / "bag_0.mcap").read_bytes()[at]
-    damaged(bag, at, bytes([byte ^ 1 << bit]))
 
 
 def chunks(bag: Path) -> list[ChunkIndex]:
@@ -136,26 +133,19 @@ FIRST, SECOND, THIRD_ON = list(range(16)), list(range(16, 32)), list(range(32, 3
 # at the file's end tells where the chunks are, then without it, as after a kill.
 DAMAGE: dict[str, tuple[Callable[[Path, list[ChunkIndex]], object], list[int], list[int]]] = {
     "a bit in the middle of a chunk's data": (
-        lambda bag, parts: flipped(
-            bag, parts[1].chunk_start_offset + parts[1].chunk_length // 2, 3
+        lambda bag, parts: damaged(
+            bag, parts[1].chunk_start_offset + parts[1].chunk_length // 2
         ), SECOND, SECOND,
     ),
     "the first chunk, which defines the topics": (
         lambda bag, parts: damaged(bag, parts[0].chunk_start_offset + 200, bytes(100)), FIRST,
         list(range(361)),
     ),
-    "the length of a chunk": (
-        lambda bag, parts: flipped(bag, parts[1].chunk_start_offset + 3, 0), [], [],
-    ),
     "both lengths": (
         lambda bag, parts: (
             damaged(bag, parts[1].chunk_start_offset + 1, b"\xff" * 8),
             damaged(bag, parts[1].chunk_start_offset + 49, b"\xff" * 8),
         ), SECOND, SECOND + THIRD_ON,
-    ),
-    "a cut in a chunk": (
-        lambda bag, parts: os.truncate(bag / "bag_0.mcap", parts[20].chunk_start_offset + 50),
-        list(range(320, 361)), list(range(320, 361)),
     ),
 }
 
@@ -337,16 +327,14 @@ def test_a_kill_costs_what_came_since_the_last_flush(tmp_path: Path) -> None:
     ]
 
 
-@pytest.mark.parametrize("loop", [False, True])
-def test_every_file_of_a_split_bag_is_checked(tmp_path: Path, loop: bool) -> None:
-    """An older one is not there, or cannot be read: the metadata has its number of messages."""
+def test_every_file_of_a_split_bag_is_checked(tmp_path: Path) -> None:
+    """An older one cannot be read: the metadata has its number of messages."""
     bag, sent = split_bag(tmp_path / "bag")
     bag.close()
     file = tmp_path / "bag" / "bag_1.mcap"
     had = {message[:2] for message in messages_of(file)}
     file.unlink()
-    if loop:  # since root may read anything
-        file.symlink_to("bag_1.mcap")
+    file.symlink_to("bag_1.mcap")  # to itself, since root may read anything
     new, _, losses = recover(tmp_path)
     assert read(new) == [message for message in sent if message[:2] not in had]
     assert losses[-1] == f"bag_1.mcap: {len(had)} of its {len(had)} messages are lost"

@@ -91,13 +91,6 @@ def test_a_file_is_the_librarys(largest: int) -> None:
     assert messages == sorted(step for step in steps if step is not None and len(step) == 5)
 
 
-@pytest.mark.parametrize("steps", [[], TOPICS, [*TOPICS, None, None]])
+@pytest.mark.parametrize("steps", [[], [*TOPICS, None, None]])
 def test_a_file_without_messages_is_the_librarys(steps: list[Step]) -> None:
-    """It still names its topics."""
-    content = ours(steps)
-    assert content == theirs(steps)
-    summary = make_reader(BytesIO(content), validate_crcs=True).get_summary()
-    assert summary is not None
-    assert [channel.topic for channel in summary.channels.values()] == (
-        ["/roof/level", "/never/sent", "/d\u00e9bit"] if steps else []
-    )
+    assert ours(steps) == theirs(steps)

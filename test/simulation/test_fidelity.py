@@ -8,24 +8,18 @@ tolerances below allow only for that and for the digits of the files.
 
 from __future__ import annotations
 
-import csv
 from pathlib import Path
 
 import numpy as np
 import pytest
 from places import DATA
+from studies import rows_of
 
 from greenroof_ros.base.files import shared_directory
 from greenroof_ros.results.trajectory import Trajectory, read_trajectory
 
 TOTALS = shared_directory() / "config" / "paper" / "totals.csv"
 VOLUME = 2e-5  # m3
-
-
-def rows_of(path: Path) -> list[dict[str, str]]:
-    """Read a file of reference figures."""
-    with path.open() as file:
-        return list(csv.DictReader(file))
 
 
 def run_of(

@@ -8,14 +8,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from paper import run_in, weather_of
 from places import CONFIG
 
 import greenroof_ros as gr
-from greenroof_ros.base.errors import ConfigurationError
-from greenroof_ros.simulation.bound import bound_discharge
 from greenroof_ros.simulation.loop import simulate
 from greenroof_ros.site.file import read_site
 from greenroof_ros.site.site import Site
@@ -75,24 +71,6 @@ def test_demand_of_a_column(tmp_path: Path) -> None:
         assert "other_m3" not in run(read_site(HOUSE))
 
 
-@settings(max_examples=15, deadline=None)
-@given(
-    demand=st.floats(0, 4000),
-    depths=st.lists(st.sampled_from([0.0, 0.0, 3.0, 20.0]), min_size=6, max_size=30),
-    policy=st.sampled_from(["closed", "open", "drain", "plan"]), filled=st.floats(0.1, 9.9),
-)
-def test_no_valve_is_better_than_the_bound(
-    demand: float, depths: list[float], policy: str, filled: float
-) -> None:
-    site = replace(read_site(HOUSE, {"other_demand": demand}), tau=60.0)
-    run = run_in(weather_of(depths), site, filled, site.x2_star, outlet=policy)
-    found, ticks = simulate(run, every=1)
-    assert ticks is not None
-    for point in bound_discharge(run, ticks):
-        cost = found["wet_discharge_m3"] + point.weight * found["mains_m3"]
-        assert cost >= point.wet_discharge_m3 + point.weight * point.mains_m3 - 1e-6
-
-
 def test_a_plan_keeps_what_other_uses_will_need() -> None:
     """Before a storm of 24 mm that a cistern with 5 m3 cannot hold, without more wet discharge."""
     rain, found = [0.0] * 24 + [8.0] * 3 + [0.0] * 12, []
@@ -103,14 +81,3 @@ def test_a_plan_keeps_what_other_uses_will_need() -> None:
     assert with_demand["wet_discharge_m3"] == pytest.approx(without["wet_discharge_m3"], abs=0.01)
     assert with_demand["final_cistern_m3"] > without["final_cistern_m3"] + 5
     assert without["outflow_m3"] > 8 and with_demand["outflow_m3"] < 1
-
-
-@pytest.mark.parametrize(("key", "value"), [
-    ("other_demand", -1), ("other_demand", [1, 2]), ("monthly_other_demand", [100] * 11),
-])
-def test_refused(tmp_path: Path, key: str, value: object) -> None:
-    file = tmp_path / "site.yaml"
-    file.write_text(f"extends: site_valve.yaml\n{key}: {value}\n")
-    with pytest.raises(ConfigurationError) as caught:
-        read_site(file)
-    assert str(caught.value).startswith(f"{file}, line 2: {key}")

@@ -12,8 +12,7 @@ import pytest
 import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
-from paper import run_in, site_with, weather_of
+from paper import find_wet, run_in, site_with, weather_of
 
 from greenroof_ros.simulation.loop import simulate
 from greenroof_ros.simulation.output import write_configuration
@@ -26,7 +25,6 @@ SITE = site_with(
     low_outlet_radius=0.0125, low_outlet_valve=True, drainage_to_cistern=1.0, tau=60.0,
 )
 FULL_ROOF = SITE.x2_star
-Values = NDArray[np.float64]
 
 
 def trajectory_of(run: Run) -> Any:
@@ -83,17 +81,6 @@ def test_a_filled_hour_is_known(tmp_path: Path) -> None:
     run = run_in(weather, site, 9.0, FULL_ROOF, outlet="drain")
     assert run.series.filled_hours == 1
     assert trajectory_of(run).outlet.tolist() == [1.0] * 181
-
-
-def find_wet(rain: Values, tau: float, wet_after: float) -> NDArray[np.bool_]:
-    """Return whether it is wet in each tick with some rain (mm/h): the words of the rule."""
-    last, wet = -math.inf, []
-    for tick, rate in enumerate(rain.tolist()):
-        since = (tick - 1 - last) * tau / 3600
-        if rate > 0.1 - 1e-9 or (rate > 0 and since < 1):
-            last = tick
-        wet.append(last == tick or since < wet_after)
-    return np.array(wet)
 
 
 @settings(max_examples=60)

@@ -98,26 +98,17 @@ def test_missing_rows_and_empty_cells_are_gaps(file: Path) -> None:
 
 
 def test_wrong_files_are_refused(file: Path) -> None:
-    """Columns that are lacking, a wrong unit, rows that are too far apart, and no place or clock.
-
-    The clock and evapotranspiration from temperatures need the place in the site file.
-    """
+    """Columns that are lacking, too much rain, rows that are uneven, and no clock."""
     days = text_of(HEADER, "0,0,0,5,15", since(JUNE, 1440 * np.arange(120)))
     assert read(file, days).step_s == 86400.0
     for text, message in (
         (TEXT.replace(RAIN, "pumped [mm]"), r"csv, line 1: must have the columns 'rain \[mm"),
-        (TEXT.replace(MAXIMUM, "pumped [mm]"), "or both 'minimum temperature"),
         (TEXT.replace("T00:30,0.1", "T00:30,169"), r"line 8: rain \[mm\] = '169': must be"),
-        (text_of(HEADER, "0,0,0,5,15", since(JUNE, 2880 * np.arange(120))), "are 48 h apart"),
         (text_of(HEADER, "0,0,0,5,15", since(JUNE, np.cumsum(np.resize([5, 5, 7], 120)))),
          "line 4: time = '2021-06-01T00:17': this row is 7 min after"),
     ):
         refusal(read, file, text, match=message)
-    for lacks, needed in (
-        ("latitude", "hargreaves requires latitude in the site file"),
-        ("utc_offset", "must include a UTC offset"),
-    ):
-        refusal(read, file, TEXT, replace(TWIN, **{lacks: None}), match=needed)
+    refusal(read, file, TEXT, replace(TWIN, utc_offset=None), match="must include a UTC offset")
 
 
 def test_a_gap_in_evapotranspiration_hides_the_time_after_it(file: Path) -> None:

@@ -9,16 +9,16 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 import pytest
-from districts import DISTRICT, WEATHER, edit, write_district
 from refusals import refusal
 from scipy import stats
+from studies import DISTRICT, JULY, edit_district, write_district
 
 import greenroof_ros as gr
 from greenroof_ros.analysis.district.buildings import list_buildings, make_buildings, make_sites
 from greenroof_ros.analysis.district.file import read_district
 from greenroof_ros.site.file import read_site
 
-MANY = edit("buildings: 8", "buildings: 4000")
+MANY = edit_district("buildings: 8", "buildings: 4000")
 NOTES: list[str] = []
 VOLUME = "{mean: 3, sd: 2, low: 1.0, high: 6.0}"
 
@@ -61,22 +61,22 @@ def test_more_buildings_are_the_same_and_others(tmp_path: Path) -> None:
 def test_times(tmp_path: Path) -> None:
     """A key is a multiple of another drawn key, or of one that the site has."""
     for factor, height in (("catchment_area", None), ("z_o", 2.0)):
-        values = make(tmp_path, edit(VOLUME, f"{{values: [0.02], times: {factor}}}"))
+        values = make(tmp_path, edit_district(VOLUME, f"{{values: [0.02], times: {factor}}}"))
         volumes = 0.02 * (height or values["catchment_area"].to_numpy())
         assert values["cistern_volume"].to_numpy() == pytest.approx(volumes)
 
 
 def test_adoption_is_nested_and_exact(tmp_path: Path) -> None:
     """Each share of the buildings adopts."""
-    text = edit("[0.25, 0.5, 1.0]", "[0.1, 0.25, 0.5]").replace("buildings: 8", "buildings: 1000")
-    buildings = make(tmp_path, text)
+    text = edit_district("[0.25, 0.5, 1.0]", "[0.1, 0.25, 0.5]")
+    buildings = make(tmp_path, text.replace("buildings: 8", "buildings: 1000"))
     assert np.bincount(buildings["group"]).tolist() == [100, 150, 250, 500]
     for level, count in ((0.1, 100), (0.25, 250), (0.5, 500)):
         assert len(buildings.filter(pl.col("adopts_at") <= level)) == count
 
 
 CSV = "id,catchment_area,a1,address\nA,120,2.5,Lane 1\nB,240.5,3,Lane 2\nC,90,1,-\n"
-LISTED = edit("buildings: 8", "file: buildings.csv").replace(
+LISTED = edit_district("buildings: 8", "file: buildings.csv").replace(
     "  catchment_area: {mean: 200, sd: 120, low: 60, high: 1000}\n"
     f"  cistern_volume: {VOLUME}\n", ""
 )
@@ -92,36 +92,21 @@ def test_listed_buildings(tmp_path: Path) -> None:
     assert NOTES == [
         "buildings.csv: these columns are not keys of a building and are ignored: address"
     ]
-
-
-@pytest.mark.parametrize(("old", "new", "line", "column"), [
-    ("B,", "A,", 3, "id"),
-    ("id,", "name,", 1, "'id'"),
-    ("a1", "catchment_area", 1, "'catchment_area'"),
-    ("120", "", 2, "catchment_area"),
-])
-def test_wrong_lists(tmp_path: Path, old: str, new: str, line: int, column: str) -> None:
-    """File, line and column are named."""
-    (tmp_path / "buildings.csv").write_text(CSV.replace(old, new))
-    refusal(make, tmp_path, LISTED, match=rf"buildings.csv, line {line}: {column}")
+    (tmp_path / "buildings.csv").write_text(CSV.replace("B,", "A,"))
+    refusal(make, tmp_path, LISTED, match=r"buildings.csv, line 3: id")
 
 
 @pytest.mark.parametrize(("old", "new", "line", "key"), [
-    ("buildings: 8", "buildings: 8\nfile: x.csv", 3, "buildings"),
     ("  cistern_volume:", "  tau:", 6, "draw.tau"),
     ("mean: 3, ", "", 6, "draw.cistern_volume"),
-    ("low: 60, high: 1000", "low: 1e8", 5, "draw.catchment_area"),
     ("low: 1.0", "low: 7", 6, "draw.cistern_volume"),
-    ("high: 6.0", "high: 6.0, values: [1]", 6, "draw.cistern_volume"),
-    ("[0.08, 0.108]", "[]", 7, "draw.substrate_depth"),
     ("high: 6.0", "high: 6.0, times: cistern_volume", 6, "draw.cistern_volume.times"),
-    ("07-07/07-09", "summer", 8, "weather.season"),
     ("site_valve.yaml", "site_catchment.yaml", 2, "site"),
 ])
 def test_wrong_districts(tmp_path: Path, old: str, new: str, line: int, key: str) -> None:
     """File, line and key are named."""
     refusal(
-        gr.district, write_district(tmp_path, edit(old, new)),
+        gr.district, write_district(tmp_path, edit_district(old, new)),
         match=rf"district.yaml, line {line}: {re.escape(key)}( =|:)",
     )
 
@@ -131,10 +116,9 @@ def test_wrong_districts(tmp_path: Path, old: str, new: str, line: int, key: str
     ("cistern_volume,cistern_height\nA,5,0.1", "{}", "houses.csv, line 2: low_outlet_level = 0.1:"),
     # The soil holds 63 % of 0.108 m.
     ("a1\nA,3", "{z_veg: {values: [0.07]}}", "line 4: draw.z_veg = 0.07: .*building A"),
-    ("a1\nA,3", "{a1: {values: [2, 3]}}", "line 4: draw.a1 = 'a1': is also a column"),
 ])
 def test_a_wrong_building_is_named(tmp_path: Path, row: str, keys: str, message: str) -> None:
     """The error names the file from which the value is."""
     (tmp_path / "houses.csv").write_text(f"id,{row}\n")
     text = f"site: site_valve.yaml\nfile: houses.csv\ndraws: 1\ndraw: {keys}\n"
-    refusal(make, tmp_path, f"{text}weather: {{file: {WEATHER}}}", match=message)
+    refusal(make, tmp_path, f"{text}weather: {{file: {JULY}}}", match=message)

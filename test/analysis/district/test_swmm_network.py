@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 import pytest
-from districts import edit, write_district
+from studies import edit_district, write_district
 
 import greenroof_ros as gr
 from greenroof_ros.analysis.district.swmm import format_network, format_series, run_network
@@ -54,8 +54,9 @@ def test_capacity_of_the_scaled_network(tmp_path: Path, area: float, capacity: f
 
 def test_district(tmp_path: Path) -> None:
     """Two storms of July 2021: with valves the river gets less, and the headline is routed."""
-    text = edit("draws: 1", "draws: 1\noutlets: [drain]").replace("site_valve", "districts/house")
-    result = gr.district(write_district(tmp_path, text), swmm=tmp_path / "swmm")
+    text = edit_district("draws: 1", "draws: 1\noutlets: [drain]")
+    file = write_district(tmp_path, text.replace("site_valve", "districts/house"))
+    result = gr.district(file, swmm=tmp_path / "swmm")
     rows = {(row["outlet"], row["adoption"]): row for row in result.all_rows.to_dicts()}
     as_is, drain = rows["none", 0.0], rows["drain", 1.0]
     assert as_is["routed_overflow_m3"] > drain["routed_overflow_m3"]

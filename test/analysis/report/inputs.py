@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import dataclasses
 import shutil
-import subprocess
 from collections.abc import Sequence
 from datetime import datetime
 from functools import cache
@@ -13,8 +12,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from commands import run_command
-from graphs import environment
 from numpy.typing import ArrayLike
 from paper import paper_run
 from places import CONFIG
@@ -23,7 +20,6 @@ from rosbags.typesys import Stores, get_typestore
 
 from greenroof_ros.analysis.figures import Figure
 from greenroof_ros.analysis.report.figures import make_figures
-from greenroof_ros.analysis.report.page import render
 from greenroof_ros.analysis.report.runs import Report, find_runs
 from greenroof_ros.results.trajectory import Trajectory
 from greenroof_ros.simulation.loop import Simulation, record
@@ -109,19 +105,9 @@ def study_of(directory: Path, *rows: dict[str, Any]) -> Report:
     return report_of(write_study(directory, [(row, None) for row in rows]))
 
 
-def page_of(report: Report) -> str:
-    """Return the text of the page, without figures and extra spaces."""
-    return " ".join(render(report, []).partition("<body>")[2].partition("</main>")[0].split())
-
-
 def figures_of(report: Report) -> dict[str, Figure]:
     """Return the figures by name."""
     return {figure.name: figure for figure in make_figures(report)}
-
-
-def command(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
-    """Run the report as a user would."""
-    return run_command("report", *arguments, cwd=cwd, env=environment(0))
 
 
 def write_bag(

@@ -64,28 +64,6 @@ def test_a_name_has_the_fewest_facts() -> None:
     assert tell_apart(facts[:1]) == [""]
 
 
-def test_sites_and_valves_in_the_words_of_the_keys(tmp_path: Path) -> None:
-    """What a case does not use is not in its name, and does not make it another case."""
-    cases = cases_of(tmp_path / grid(tmp_path, f"""
-site: {{file: site_valve.yaml, a1: [4.0, 8.0], tau: 300.0, M: 1}}
-weather: {{file: {WEATHER}, start: 2021-07-07T02:00, hours: 1, evapotranspiration: published}}
-forecast: [perfect, {{model: errors, seed: [1, 2]}}]
-initial: low-low
-controllers:
-  onoff: {{outlet: [closed, drain, plan], outlet_reserve: [1.0, 3.0], outlet_price: 1}}
-"""))
-    names = name_cases(cases)
-    assert Counter(name["case"] for name in names) == {
-        "valve closed": 2, "valve drain, outlet reserve 1 m3": 2,
-        "valve drain, outlet reserve 3 m3": 2,
-        **{f"valve plan, outlet reserve {reserve} m3, forecast {model}": count
-           for reserve in (1, 3) for model, count in (("perfect", 2), ("errors", 4))},
-    }
-    assert {(name["window"], name["site"]) for name in names} == {
-        ("cistern 8 m3", "cistern_8_m3.yaml"), ("cistern 16 m3", "cistern_16_m3.yaml"),
-    }
-
-
 def test_the_seasons_of_several_years(tmp_path: Path) -> None:
     """The same days of two years are one window, of each city."""
     for city in ("here", "there"):

@@ -17,11 +17,9 @@ from graphs import alive, wait_for
 from places import CHECKOUT, DATA
 from refusals import refusal
 from studies import (
-    CONFIG,
     WEATHER,
     archive,
     begun,
-    cases_of,
     edit_grid,
     grid,
     rows_of,
@@ -165,13 +163,6 @@ def test_ended(tmp_path: Path, number: signal.Signals) -> None:
                 "onoff", "done"
             )
     shutil.rmtree(scratch)
-
-
-PLANNED = f"""
-site: {CONFIG / "site.yaml"}
-weather: {{file: {WEATHER}, start: 2021-07-07T00:50, hours: 0.2}}
-initial: low-low
-"""
 BY_BOTH = """
 site: {file: site.yaml, a1: 26.0}  # no worker has this site as a file
 weather: {file: weather.csv, start: 2021-07-07T00:50, hours: 0.2}
@@ -206,23 +197,6 @@ def test_processes_and_a_cluster_give_the_same_table(tmp_path: Path) -> None:
         assert (here.directory / name).read_bytes() == (there.directory / name).read_bytes()
     rows = rows_of(here.directory / "results.csv")
     assert len({row["final_roof_m3"] for row in rows}) == 3
-
-
-FORECASTS = """
-controllers: {anticipating_onoff: {horizon: 12.0}}
-forecast: [perfect, {model: errors, seed: 1}, archive.csv]
-"""
-
-
-def test_forecasts(tmp_path: Path) -> None:
-    """Only the runs with an archive depend on what it contains."""
-    archive(tmp_path)
-    grid(tmp_path, PLANNED + FORECASTS)
-    before = [case.identity for case in cases_of(tmp_path / "grid.yaml")]
-    file = tmp_path / "archive.csv"
-    file.write_text(file.read_text().replace("4.0", "5.0"))
-    after = [case.identity for case in cases_of(tmp_path / "grid.yaml")]
-    assert [a == b for a, b in zip(before, after, strict=True)] == [True, True, False]
 
 
 def test_a_study_in_python(tmp_path: Path) -> None:
