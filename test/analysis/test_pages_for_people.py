@@ -7,7 +7,7 @@ from pathlib import Path
 
 import altair as alt
 import pytest
-from refusals import refusal
+from places import refusal
 
 from greenroof_ros.analysis.figures import Figure, Panel
 from greenroof_ros.analysis.page import Section, claim_output, make_page, write_output

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from paper import IMPERFECT, LIMITED_SOIL, LIMITED_VALVE, LIMITED_WHOLE, VALVE, four_days
-from refusals import refusal
+from places import refusal
 
 import greenroof_ros as gr
 from greenroof_ros.simulation.loop import Simulation

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from refusals import refusal
+from places import refusal
 
 import greenroof_ros as gr
 

@@ -8,9 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from paper import find_wet
-from places import CHECKOUT
+from places import CHECKOUT, refusal
 from reference_scores import compute
-from refusals import refusal
 
 import greenroof_ros as gr
 from greenroof_ros.api.scenarios import read_references

@@ -19,8 +19,7 @@ import polars
 import pytest
 from commands import run_command
 from graphs import environment
-from places import CHECKOUT, CONFIG
-from refusals import refusal
+from places import CHECKOUT, CONFIG, refusal
 
 import greenroof_ros as gr
 from greenroof_ros.analysis.report.runs import find_runs

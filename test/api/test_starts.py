@@ -6,7 +6,7 @@ from datetime import datetime
 
 import polars
 import pytest
-from refusals import refusal
+from places import refusal
 
 import greenroof_ros as gr
 from greenroof_ros.site.site import Site

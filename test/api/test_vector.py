@@ -17,8 +17,7 @@ from paper import (
     LIMITED_WHOLE,
     four_days,
 )
-from places import CONFIG
-from refusals import refusal
+from places import CONFIG, refusal
 
 import greenroof_ros as gr
 from greenroof_ros.base.errors import ConfigurationError

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 from commands import run_command
-from refusals import refusal
+from places import refusal
 
 from greenroof_ros.base.files import read_text, read_yaml
 from greenroof_ros.site.file import read_site

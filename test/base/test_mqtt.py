@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from refusals import refusal
+from places import refusal
 
 from greenroof_ros.base.mqtt import Broker, make_client, parse_broker, parse_topic
 

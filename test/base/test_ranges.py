@@ -14,8 +14,7 @@ import yaml
 from districts import DISTRICT
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from places import CONFIG
-from refusals import refusal
+from places import CONFIG, refusal
 
 from greenroof_ros.analysis.district.file import District, read_district
 from greenroof_ros.base.errors import ConfigurationError

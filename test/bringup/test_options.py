@@ -12,8 +12,7 @@ import pytest
 from commands import run_command
 from graphs import environment
 from paper import VALVE, site_file
-from places import CHECKOUT
-from refusals import refusal
+from places import CHECKOUT, refusal
 
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.controllers.registry import find_controller

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from paper import VALVE
-from refusals import refusal
+from places import refusal
 
 import greenroof_ros as gr
 from greenroof_ros.controllers.check import check_controller

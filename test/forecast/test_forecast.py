@@ -14,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from paper import MIDNIGHT, PAPER_SITE, paper_run, site_with, weather_of
-from refusals import refusal
+from places import refusal
 
 from greenroof_ros.forecast.choice import ForecastChoice, choose, read_skill
 from greenroof_ros.forecast.issue import IssuedForecast, write_forecasts

@@ -12,8 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from places import CONFIG, DATA
-from refusals import refusal
+from places import CONFIG, DATA, refusal
 
 from greenroof_ros.base.times import parse_time
 from greenroof_ros.forecast.issue import read_archive, read_forecasts, write_forecasts

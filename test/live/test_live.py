@@ -19,7 +19,7 @@ from typing import Any
 import pytest
 from http_service import WeatherService
 from paper import PAPER_SITE
-from refusals import refusal
+from places import refusal
 from ros_rig import (
     ERROR,
     FORECAST_HEADER,

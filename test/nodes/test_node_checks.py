@@ -103,7 +103,8 @@ def test_examples_pass_and_broken_nodes_fail_for_what_is_broken(
     options = ("--period", "0.01") if kind == "pump" else case.check
     try:
         process = Process(
-            domain, f"quick_check_{kind}", "--node", f"/{name}/{kind}", *options, cwd=tmp_path
+            domain, f"other_limits.check_{kind}", "--node", f"/{name}/{kind}", *options,
+            cwd=tmp_path,
         )
         code, said = process.wait(180), process.stdout()
         failed = [line for line in said.splitlines() if line.startswith("  failed: ")]

@@ -22,7 +22,7 @@ from disks import bad_disk, no_file_beyond
 from graphs import environment
 from mcap.reader import make_reader
 from mcap.records import ChunkIndex
-from refusals import refusal
+from places import refusal
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 

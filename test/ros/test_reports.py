@@ -6,9 +6,9 @@ import json
 from typing import Any
 
 import pytest
-from hostile_reports import STATUSES
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from page_inputs import STATUSES
 
 from greenroof_ros.interface.alarm import ERROR, OK
 from greenroof_ros.ros.reports import SILENT_S, Reports, Status

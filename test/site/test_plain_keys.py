@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from refusals import refusal
+from places import refusal
 from studies import GRID, cases_of, grid
 
 import greenroof_ros as gr

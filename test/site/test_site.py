@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from hypothesis import example, given, settings
 from paper import PAPER_SITE, TABLE_I, paper_run, sites
-from refusals import refusal
+from places import refusal
 from studies import GRID, cases_of, grid
 
 from greenroof_ros.base.files import shared_directory

@@ -8,7 +8,6 @@ from dataclasses import replace
 from typing import Any
 
 import pytest
-from hostile_reports import STATUSES
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from page_inputs import (
@@ -16,6 +15,7 @@ from page_inputs import (
     HOLD,
     SECOND,
     START,
+    STATUSES,
     add_values,
     alarm,
     node,

@@ -9,8 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from places import CONFIG, DATA
-from refusals import refusal
+from places import CONFIG, DATA, refusal
 
 from greenroof_ros.base.files import parse_yaml, read_yaml
 from greenroof_ros.base.times import parse_time

@@ -9,8 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from places import CONFIG, DATA
-from refusals import refusal
+from places import CONFIG, DATA, refusal
 
 from greenroof_ros.weather.design_storm import (
     Depths,

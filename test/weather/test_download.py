@@ -20,8 +20,7 @@ import pytest
 from disks import small_disk
 from http_service import WeatherService
 from paper import site_file
-from places import CHECKOUT, DATA
-from refusals import refusal
+from places import CHECKOUT, DATA, refusal
 
 import greenroof_ros as gr
 from greenroof_ros.base import http

@@ -13,8 +13,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 from paper import weather_of
-from places import CONFIG, DATA
-from refusals import refusal
+from places import CONFIG, DATA, refusal
 
 import greenroof_ros as gr
 from greenroof_ros.forecast.choice import choose

@@ -7,8 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from places import CONFIG
-from refusals import refusal
+from places import CONFIG, refusal
 
 from greenroof_ros.site.file import read_site
 from greenroof_ros.weather.read import read_measured

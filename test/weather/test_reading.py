@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 import yaml
 from paper import PAPER_SITE, paper_run
-from places import CONFIG, DATA
-from refusals import refusal
+from places import CONFIG, DATA, refusal
 
 from greenroof_ros.base.times import parse_time
 from greenroof_ros.simulation.output import write_configuration

@@ -12,8 +12,7 @@ import pytest
 from commands import run_command
 from graphs import environment
 from paper import PAPER_SITE, weather_of
-from places import CONFIG, DATA
-from refusals import refusal
+from places import CONFIG, DATA, refusal
 
 from greenroof_ros.base.times import parse_time
 from greenroof_ros.forecast.steps import PerfectForecast

@@ -11,8 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from places import CONFIG, DATA
-from refusals import refusal
+from places import CONFIG, DATA, refusal
 
 from greenroof_ros.site.file import read_site
 from greenroof_ros.weather.read import read_measured

@@ -369,7 +369,7 @@ class SiteRig(Rig):
 
     def bring_up(self) -> Process:
         wait(lambda: self.truth.samples, 10, "no speed of the drive")
-        return Process(self.domain, "restarting", "1000", *self._options, cwd=self.directory)
+        return Process(self.domain, "other_limits.live", *self._options, cwd=self.directory)
 
     def levels(self) -> tuple[float, float]:
         """Return the true levels of cistern and roof (m)."""
@@ -501,7 +501,7 @@ class PlayedRig(Rig):
     def bring_up(self) -> Process:
         self.players = Players(self.watcher, self.truth, self.site, self.topics)
         return Process(
-            self.domain, "restarting", "1000", "--controller", CONTROLLER,
+            self.domain, "other_limits.live", "--controller", CONTROLLER,
             "--site", str(self.site_file), "--sensors", "external", "--weather", "external",
             *self._pump(), "--state", str(self.output),
             "--node-parameters", str(self.parameters), cwd=self.directory,

@@ -224,7 +224,7 @@ class ValveRig(Rig):
         at = f"mqtt://127.0.0.1:{self.cable.port}/valve"
         with _python_path(self.clocks):
             return Process(
-                self.domain, "restarting", "1000", "--controller", "onoff", *self.options,
+                self.domain, "other_limits.live", "--controller", "onoff", *self.options,
                 "--site", str(self.site_file), "--sensors", str(self.sensors),
                 "--valve", self.drive_name, "--valve-at", at, "--state", str(self.output),
                 "--node-parameters", str(self.parameters), cwd=self.directory,

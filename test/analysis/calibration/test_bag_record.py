@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from refusals import refusal
+from places import refusal
 from twins import TWIN
 
 from greenroof_ros.analysis.calibration.record import read_bag_record

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from refusals import refusal
+from places import refusal
 from twins import TWIN
 
 from greenroof_ros.analysis.calibration.record import StepRecord, read_csv_record, select_comparable

@@ -7,7 +7,7 @@ from datetime import datetime, timedelta, timezone
 
 import numpy as np
 import pytest
-from refusals import refusal
+from places import refusal
 from twins import a_record
 
 from greenroof_ros.analysis.calibration.record import (

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 import pytest
-from refusals import refusal
+from places import refusal
 from scipy import stats
 from studies import DISTRICT, JULY, edit_district, write_district
 

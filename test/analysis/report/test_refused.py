@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 from graphs import environment
 from inputs import report_of, small_bag, write_bag, write_study
-from refusals import refusal
+from places import refusal
 
 NEEDED = ("cistern_level", "roof_level", "pump_command", "pump_flow")
 

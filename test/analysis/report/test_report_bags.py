@@ -26,8 +26,7 @@ from inputs import (
     trajectory_of,
     write_bag,
 )
-from places import CONFIG
-from refusals import refusal
+from places import CONFIG, refusal
 from rosbags.rosbag2 import StoragePlugin
 
 from greenroof_ros.analysis.report.page import make_notes, render

@@ -6,8 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from places import CONFIG
-from refusals import refusal
+from places import CONFIG, refusal
 
 from greenroof_ros.analysis.assumptions import list_ends
 from greenroof_ros.analysis.sizing.designs import (

@@ -9,8 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from places import CONFIG, DATA
-from refusals import refusal
+from places import CONFIG, DATA, refusal
 from studies import (
     GRID,
     WEATHER,

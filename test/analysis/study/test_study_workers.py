@@ -14,8 +14,7 @@ from pathlib import Path
 import polars
 import pytest
 from graphs import alive, wait_for
-from places import CHECKOUT, DATA
-from refusals import refusal
+from places import CHECKOUT, DATA, refusal
 from studies import (
     WEATHER,
     archive,

@@ -10,8 +10,7 @@ from tempfile import TemporaryDirectory
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from places import CONFIG
-from refusals import refusal
+from places import CONFIG, refusal
 
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.live.devices.drive import Drive, DriveEndpoint
