@@ -166,7 +166,7 @@ def draw_over_time(runs: Mapping[str, tuple[Site, Trajectory]]) -> list[figures.
             panels.append(figures.Panel(area.encode(color=alt.value("#56B4E9")), "", _RAIN_HEIGHT))
             continue
         chart = chart.mark_line(strokeWidth=1.6).encode(
-            **figures.distinguish_series("case", list(runs) if others else [])
+            **figures.distinguish_series("case", list(runs))
         )
         if title in _LEVELS and all(other == site for other, _ in others):
             levels = _LEVELS[title](site).items()

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 from inputs import NAMES, START
 from paper import PAPER_SITE
 
-from greenroof_ros.analysis.figures import Figure
+from greenroof_ros.analysis.figures import COLOURS, Figure
 from greenroof_ros.analysis.report.figures import (
     MAX_POINTS,
     draw_over_time,
@@ -37,6 +39,24 @@ def test_runs_of_any_values(tmp_path: Path, values: list[float]) -> None:
     flows = any(value > 0 for value in values[:-1])  # the last one never held
     # What reaches the sewer, and the opening of the valve.
     assert len(overlay_simulations(runs).vconcat) == 4 + 2 * flows
+
+
+@pytest.mark.parametrize("names", [["onoff"], ["onoff", "mpc"]])
+def test_every_run_has_a_visible_line(tmp_path: Path, names: list[str]) -> None:
+    """Each line has a colour in the drawing, also that of a single run, and none is shared."""
+    trajectory = Trajectory(start=START, **{
+        **{name: np.array([1.0, 2.0, 3.0]) for name in NAMES}, "time": np.arange(3.0),
+    })
+    runs = {name: (PAPER_SITE, trajectory) for name in names}
+    Figure("time", "", "", tuple(draw_over_time(runs)), 2).save(tmp_path)
+    overlay_simulations(runs).save(tmp_path / "chart.svg")
+    for file in tmp_path.glob("*.svg"):
+        groups = [each for each in ElementTree.parse(file).iter() if (
+            each.get("class", "").startswith("mark-line")
+        )]
+        _, *strokes = (path.get("stroke") for group in groups for path in group)  # first the rain's
+        # In roof, cistern, pump, sewer and valve.
+        assert Counter(strokes) == dict.fromkeys(COLOURS[: len(names)], 5), file
 
 
 def test_thinning_keeps_extremes() -> None:
