@@ -18,10 +18,15 @@ from greenroof_ros.results.metrics import METRICS
 
 # Water that enters the sewer in dry weather is not kept out of it.
 _BESIDE = {WET: ("discharge_m3", "retention_share")}
+STRESS = "stress_hours"
 # With more cases than this, only results.csv contains the results of the others.
 _MAX_CASES = 8
 # Longer notes are cut; results.csv and summary.json contain all of them.
 _MAX_NOTE = 160
+_NO_PICTURE = (
+    "No run kept its trajectory, so there is no picture over time. To keep it: greenroof simulate "
+    "--trajectory-every 600 (s); in Python, trajectory_every=600, also for a study."
+)
 # What is worth a note if it is more than 0 in a run.
 _NOTED = {each.name: each.meaning for each in METRICS if each.max == 0} | {
     "fallbacks": "ticks in which the controller's solver found no solution",
@@ -36,9 +41,10 @@ def render(report: Report, figures: Sequence[Figure]) -> str:
         figures: figures in the order in which they appear.
     """
     failed = Table("Runs that failed or did not finish", ("run", "reason"), report.sources.failed)
+    missing = [_NO_PICTURE] * all(run.kept is None for run in report.sources.runs)
     sections = [
         Section(failed.caption, [failed] * bool(failed.rows)),
-        Section("Results", [make_table(report, _columns(report)), *figures]),
+        Section("Results", [make_table(report, _columns(report)), *figures, *missing]),
         Section("All results", [make_full_table(report)], folded=True),
         Section("What it rests on", [make_notes(report), _tabulate_assumptions(report)]),
         Section("What was read", [report.sources.read], folded=True),
@@ -55,6 +61,7 @@ def render(report: Report, figures: Sequence[Figure]) -> str:
 def answer(report: Report) -> str:
     """Return the answer: the best cases, what one of them achieves, and what the runs cover."""
     runs, name, won = report.sources.runs, report.show[0], dict[str, list[str]]()
+    shown = _columns(report)
     for place in report.places:
         won.setdefault(place["case"][0], []).append(place["place"][0])
     best, *others = report.places[0].to_dicts()
@@ -63,16 +70,28 @@ def answer(report: Report) -> str:
     )
     sentences = [f"Best by {COLUMNS[name].label}: {winners}"] * (len(runs) > 1) + [
         f"For {best['place'] or best['case']}: " + "; ".join(
-            f"{COLUMNS[each].label} {_write(best, each)}" for each in _columns(report)
+            f"{COLUMNS[each].label} {_write(best, each)}" for each in shown
         )
     ]
     sentences += [
-        f"With {case['case']}: {_write(case, name)}" for case in others
-        if case["case"] == runs[0].row["case"]
+        f"With {case['case']}: " + ", ".join([_write(case, name), *(
+            f"{COLUMNS[each].label} {_write(case, each)}" for each in shown if each == STRESS
+        )]) for case in others if case["case"] == runs[0].row["case"]
     ]
-    years = report.years["year"].drop_nulls()
-    sentences += [f"Seasons of {years.min()!r} to {years.max()!r}"] * bool(len(years))
-    return ". ".join(sentences) + "."
+    return ". ".join([*sentences, _describe_runs(report)]) + "."
+
+
+def _describe_runs(report: Report) -> str:
+    """Return the sites, the periods and the rain of the runs."""
+    runs, years = report.sources.runs, report.years["year"].drop_nulls()
+    rain = [1000 * each / run.site.a2 for run in runs if (each := run.row.get("rain_roof_m3"))]
+    texts = {
+        "Site": [run.row["site"] for run in runs], "period": [run.row["window"] for run in runs],
+        "seasons": [f"{years.min()!r} to {years.max()!r}"] * bool(len(years)),
+        "rain on the roof": [f"{each:.0f} mm" for each in sorted(rain)],
+    }
+    return "; ".join(f"{name}: {shorten(', '.join(dict.fromkeys(each)), _MAX_NOTE)}"
+                     for name, each in texts.items() if each)
 
 
 def _write(case: Mapping[str, Any], name: str) -> str:
@@ -82,8 +101,14 @@ def _write(case: Mapping[str, Any], name: str) -> str:
 
 
 def _columns(report: Report) -> list[str]:
-    """Return the metrics of the main table: those shown, and what must stand beside them."""
+    """Return the metrics of the main table: those shown, and what must stand beside them.
+
+    Plants that lack water save some of it, so their stress is shown if it differs between cases.
+    """
     names = [each for name in report.show for each in (name, *_BESIDE.get(name, ()))]
+    names += [STRESS] * any(
+        place[STRESS].n_unique() > 1 for place in report.places if STRESS in report.metrics
+    )
     return [name for name in dict.fromkeys(names) if name in report.metrics]
 
 

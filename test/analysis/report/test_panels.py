@@ -47,7 +47,7 @@ def test_every_run_has_a_visible_line(tmp_path: Path, names: list[str]) -> None:
     trajectory = Trajectory(start=START, **{
         **{name: np.array([1.0, 2.0, 3.0]) for name in NAMES}, "time": np.arange(3.0),
     })
-    runs = {name: (PAPER_SITE, trajectory) for name in names}
+    runs = dict.fromkeys(names, (PAPER_SITE, trajectory))
     Figure("time", "", "", tuple(draw_over_time(runs)), 2).save(tmp_path)
     overlay_simulations(runs).save(tmp_path / "chart.svg")
     for file in tmp_path.glob("*.svg"):

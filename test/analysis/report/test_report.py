@@ -55,7 +55,7 @@ def test_means_by_hand(tmp_path: Path) -> None:
     assert full["retention of the roof (%)"] == ["none", "62 (50 to 75)"]
     assert answer(report) == (
         "Best by total deviation: other. For other: total deviation 140 (80 to 200) m³. "
-        "With on/off: 150 (100 to 200) m³. Seasons of 2015 to 2025."
+        "With on/off: 150 (100 to 200) m³. Site: site.yaml; period: May; seasons: 2015 to 2025."
     )
     assert list(figures_of(report)) == ["comparison"]
 
@@ -95,6 +95,22 @@ def test_a_study_shows_what_it_asks(tmp_path: Path) -> None:
     assert names == ["worse", "closed", "drain"]
 
 
+def test_water_stress_is_shown_where_it_differs(tmp_path: Path) -> None:
+    """A case that lets the plants dry out does not win without a word about it."""
+    dry = rows("dry", None, {2020: 1.0}, stress_hours=3155.0, rain_roof_m3=6.88)
+    wet = rows("wet", None, {2020: 2.0}, stress_hours=0.0)
+    report = study_of(tmp_path / "study", *wet, *dry)
+    assert answer(report) == (  # 6.88 m3 on the 68.8 m2 of the paper's roof
+        "Best by total deviation: dry. For dry: total deviation 1 m³; water stress 3155 h. "
+        "With wet: 2 m³, water stress 0 h. Site: site.yaml; period: May; seasons: 2020 to 2020; "
+        "rain on the roof: 100 mm."
+    )
+    assert [texts[2] for texts in make_table(report, _columns(report)).texts()[:2]] == ["3155", "0"]
+    assert "--trajectory-every 600" in page_of(report)
+    alike = study_of(tmp_path / "alike", *wet, *rows("dry", None, {2020: 1.0}, stress_hours=0.0))
+    assert "water stress" not in answer(alike)
+
+
 def test_places_are_named_by_what_differs(tmp_path: Path) -> None:
     """Windows and initial states, each of which has a best case; assumptions have both ends."""
     a, b = rows("a", None, {2020: 1.0}), rows("b", None, {2020: 2.0}, limited_steps=4)
@@ -106,7 +122,8 @@ def test_places_are_named_by_what_differs(tmp_path: Path) -> None:
     )
     assert answer(report).startswith(
         "Best by total deviation: a (May, initial state low-low), b (June, initial state half). "
-        "For May, initial state low-low: total deviation 1 m³. Seasons"
+        "For May, initial state low-low: total deviation 1 m³. Site: site.yaml; "
+        "period: May, June; "
     )
     assert make_notes(report)[1:] == ["forecast: not known (4 of 4 runs)", (
         "time steps in which a tank contained less water than was demanded (1 of 4 runs)"

@@ -32,6 +32,7 @@ from places import CONFIG
 from refusals import refusal
 from rosbags.rosbag2 import StoragePlugin
 
+import greenroof_ros as gr
 from greenroof_ros.analysis.report.page import make_notes
 from greenroof_ros.analysis.report.runs import TOTAL, find_runs, read_run
 from greenroof_ros.commands.recover import recover
@@ -238,7 +239,7 @@ def test_results_of_a_run_that_is_done_are_its_own(tmp_path: Path) -> None:
     for words in ("less water than was demanded", "no solution", "rain was moved", "2 changes"):
         assert words in notes
     assert (run.row["site"], run.row["initial"]) == ("site.yaml", "low-low")
-    assert "controller onoff, fraction 2.0" in report.sources.read[0]
+    assert "onoff, fraction 2.0" in report.sources.read[0]
 
 
 def test_a_damaged_summary(tmp_path: Path) -> None:
@@ -251,17 +252,34 @@ def test_a_damaged_summary(tmp_path: Path) -> None:
 
 
 def test_names_distinguish_paths(tmp_path: Path) -> None:
-    """Runs are named by their directories; the cases of two studies stay apart."""
+    """Runs without a summary are named by directories; the cases of two studies stay apart."""
     bags = [small_bag(tmp_path / place) for place in ("tue", "x-deep", "y-deep")]
     names = [tmp_path / "x" / "deep", tmp_path / "y" / "deep"]
     for bag, name in zip(bags[1:], names, strict=True):
         shutil.copytree(bag, name)
     runs = find_runs([bags[0], *names]).runs
-    assert [run.row["case"] for run in runs] == ["tue", *map(str, names)]
+    assert [run.row["case"] for run in runs] == ["tue", *(f"deep, {name}" for name in names)]
     row = simulate("onoff", "0.5", "low-low").row
     studies = [write_study(tmp_path / place / "study", [(row, None)]) for place in ("a", "b")]
     places = [place["place"][0] for place in report_of(*studies).places]
     assert places == [f"{study}, July" for study in studies]
+
+
+def test_names_state_what_differs(tmp_path: Path) -> None:
+    """Runs with summaries are named by controller and settings, whatever their directories."""
+    runs = [
+        gr.simulate(name, site=CONFIG / "site_valve.yaml", hours=0.1, **given)
+        for name, given in (("onoff", {"outlet": "drain"}), ("onoff", {"outlet": "plan"}),
+                            ("mpc", {}))
+    ]
+    paths = [run.save(tmp_path / f"{number}") for number, run in enumerate(runs)]
+    assert [run.row["case"] for run in find_runs(paths).runs] == [
+        "onoff, outlet drain", "onoff, outlet plan", "mpc",
+    ]
+    assert find_runs(paths[:1]).runs[0].row["case"] == "0"  # nothing differs
+    (again,) = (run.save(tmp_path / "again") for run in runs[:1])
+    names = [run.row["case"] for run in find_runs([paths[0], again]).runs]
+    assert names == ["0", "again"]
 
 
 def test_what_the_plant_refuses_acts_as_zero(tmp_path: Path) -> None:
