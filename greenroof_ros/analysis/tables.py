@@ -94,15 +94,13 @@ def write_range(
 def tabulate_peaks(caption: str, peaks: Mapping[str, Iterable[float]]) -> Table:
     """Return the table of the five highest peaks of each case, by return period.
 
-    The plotting position is Weibull's: the m-th largest of n values has a return period of
-    (n + 1) / m.
-
     Args:
-        caption: caption of the table.
+        caption: beginning of the table's caption, which continues with the plotting position.
         peaks: the peak of each season, by case; all cases have the same seasons.
     """
     ranked = [*zip(*(sorted(each, reverse=True) for each in peaks.values()), strict=True)]
-    return Table(caption, ["return period (years)", *peaks], [
+    weibull = "the m-th largest of n has a return period of (n + 1) / m years (Weibull)"
+    return Table(f"{caption}; {weibull}", ["return period (years)", *peaks], [
         [f"{(len(ranked) + 1) / place:.3g}", *map(format_number, row)]
         for place, row in enumerate(ranked[:5], start=1)
     ])

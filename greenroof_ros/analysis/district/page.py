@@ -95,10 +95,8 @@ def tabulate_peaks(rows: pl.DataFrame, best: Mapping[str, Any], minutes: int) ->
         own = rows.filter(outlet=flow["outlet"], adoption=flow["adoption"])
         means = own.group_by("season").agg(pl.col(PEAKS[minutes]).mean())
         peaks[label(flow)] = means[PEAKS[minutes]]
-    return tables.tabulate_peaks(
-        f"The seasons' highest flows over {minutes} min, unrouted (L/s); the m-th largest of n has "
-        "a return period of (n + 1) / m years (Weibull)", peaks,
-    )
+    caption = f"The seasons' highest flows over {minutes} min, unrouted (L/s)"
+    return tables.tabulate_peaks(caption, peaks)
 
 
 def draw_adoption(table: pl.DataFrame) -> Figure:

@@ -15,20 +15,10 @@ from greenroof_ros.analysis.figures import Figure, Panel, distinguish_series, dr
 from greenroof_ros.analysis.page import Section, claim_output, make_page, write_output
 from greenroof_ros.analysis.references import PEAKS
 from greenroof_ros.analysis.seasons import find_ranges
-from greenroof_ros.analysis.sizing.designs import (
-    BY_DESIGN,
-    BY_TEST,
-    KEPT,
-    LOST,
-    MAIN,
-    MAX_LOST,
-    NONE,
-    PAGE,
-    SHOWN,
-    TABLE,
-    Design,
-)
-from greenroof_ros.analysis.tables import Table, tabulate_peaks, write_range
+from greenroof_ros.analysis.sizing import designs as plans
+from greenroof_ros.analysis.sizing.designs import BY_DESIGN, KEPT, LOST, MAIN, NONE, SHOWN, Design
+from greenroof_ros.analysis.tables import Column, Table, tabulate_peaks, write_range
+from greenroof_ros.controllers.outlet import PLAN
 from greenroof_ros.site.site import Site
 
 _TITLE = "Which cistern for the green roof?"
@@ -37,7 +27,11 @@ _OF_TARGETS = (*MAIN, LOST, "stress_hours")
 _COMPARED = ("wet_discharge_m3", "discharge_m3", "retention_share", "overflow_days")
 # The peaks that are shown (min).
 _PEAK_MIN = 5
-_HEADINGS = {"volume_m3": "cistern (m³)", "target_mm": "target (mm)"}
+_ORDER = polars.Enum(plans.OUTLETS)
+_VARIED = {
+    "volume_m3": Column("cistern", "m³", "{:g}".format),
+    "target_mm": Column("target", "mm", "{:g}".format), "outlet": Column("outlet", ""),
+}
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -101,8 +95,12 @@ class Sizes:
         kept = "" if row[KEPT] is None else (
             f", {text[KEPT]} % less than the rain on the roofs"
         )
+        few = "" if len(self.seasons) > 1 else (
+            "One season is too few for a recommendation: what the cistern holds at its start "
+            "counts as much as the rain. "
+        )
         return (
-            f"A cistern of {own.volume_m3:g} m³ ({own.described_outlet}) and a target of "
+            f"{few}A cistern of {own.volume_m3:g} m³ ({own.described_outlet}) and a target of "
             f"{own.target_mm:g} mm of water on the roof are recommended. In a season, {watered}"
             f"{text['wet_discharge_m3']} m³ reaches the sewer in wet weather{kept}. In all "
             f"weather, {text['discharge_m3']} m³ reaches the sewer, a retention of "
@@ -139,13 +137,13 @@ class Sizes:
             ConfigurationError: if the directory contains anything else.
             OSError: if the directory cannot be written to.
         """
-        claim_output(Path(directory), PAGE, [TABLE])
+        claim_output(Path(directory), plans.PAGE, [plans.TABLE])
         figures = [_draw_volumes(self), _draw_targets(self)]
         title = f"{_TITLE} {self.name}".strip()
         html = make_page(title, self.sentence, list_sections(self, figures))
         remarks = "".join(f"# {note}\n" for note in (*self.notes, *self.read))
         table = remarks + self.table_of_seasons.write_csv()
-        return write_output(Path(directory), PAGE, html, figures, {TABLE: table})
+        return write_output(Path(directory), plans.PAGE, html, figures, {plans.TABLE: table})
 
 
 def list_sections(sizes: Sizes, figures: Sequence[Figure]) -> list[Section]:
@@ -153,16 +151,20 @@ def list_sections(sizes: Sizes, figures: Sequence[Figure]) -> list[Section]:
     own, site = sizes.recommended, sizes.site
     used = sizes.table_of_seasons.filter(**own._asdict())
     rain, on_roof, lost = used.select("rain_m3", "rain_roof_m3", LOST).mean().row(0)
-    losing = f"at most {100 * MAX_LOST:g} %" if lost <= MAX_LOST else "the smallest part"
+    most = plans.MAX_LOST
+    losing = f"at most {100 * most:g} %" if lost <= most else "the smallest part"
     first, *others = tabulate_volumes(sizes)
+    outlets, remarks = describe_outlets(sizes)
+    several = len(sizes.seasons) > 1
+    ranges = ", with the lowest and the highest season in brackets" if several else ""
     return [
         Section("The recommendation", [
             f"The green roof covers {site.a2:g} m². Another {site.a_in:g} m² of roofs drain to the "
             f"cistern, which receives {100 * site.runoff_coefficient:g} % of the rain on them. In "
             f"a season, {1000 * on_roof / site.a2:.0f} mm of rain falls, {rain:.3g} m³ on all of "
             f"these roofs. Numbers are means of the seasons ({sizes.window}, "
-            f"{', '.join(sizes.seasons)}), with the lowest and the highest season in brackets; "
-            "percentages are means of the seasons' percentages.",
+            f"{', '.join(sizes.seasons)}){ranges}; percentages are means of the seasons' "
+            "percentages.",
             f"Beyond a cistern of {own.volume_m3:g} m³ ({1000 * own.volume_m3 / site.a2:.0f} L per "
             f"m² of green roof), another m³ saves less than {sizes.knee_m3:g} m³ of mains water "
             f"and wet-weather discharge a season. Of the targets compared, {own.target_mm:g} mm is "
@@ -171,12 +173,10 @@ def list_sections(sizes: Sizes, figures: Sequence[Figure]) -> list[Section]:
             f"Wet weather is the time of rain and the {site.wet_after:g} h after it. Water that "
             "the valve releases in dry weather reaches the same sewer: it counts in the discharge "
             "and in the retention, but not in the discharge in wet weather.",
-            first,
+            outlets, *remarks, first,
         ]),
         Section("Compared with no green roof", [
-            _tabulate_references(sizes), _tabulate_peaks(sizes),
-            "The return period of the m-th largest peak of n seasons is (n + 1) / m years "
-            "(Weibull's plotting position).",
+            _tabulate_references(sizes), *[_tabulate_peaks(sizes)] * several,
         ]),
         Section("Pictures", figures),
         Section("What it rests on", [
@@ -191,8 +191,8 @@ def list_sections(sizes: Sizes, figures: Sequence[Figure]) -> list[Section]:
         Section("What was read", [sizes.read]),
         Section("How it was made", [
             "Every design was simulated in every season. First, targets were compared with one "
-            f"cistern, and then cisterns with the best target. {TABLE} contains every design and "
-            "season.",
+            f"cistern, and then cisterns with the best target. {plans.TABLE} contains every design "
+            "and season.",
         ]),
     ]
 
@@ -201,6 +201,24 @@ def _select_targets(sizes: Sizes) -> polars.DataFrame:
     """Return the means and ranges of the designs that compare targets, by target."""
     volume, outlet = sizes.table.select("volume_m3", "outlet").row(0)
     return sizes.table.filter(volume_m3=volume, outlet=outlet).sort("target_mm")
+
+
+def describe_outlets(sizes: Sizes) -> tuple[Table, list[str]]:
+    """Return the table of the outlets, and remarks: that ``plan`` has no effect, if that is so.
+
+    The volume is that of the compared cisterns that is nearest to the site's own.
+    """
+    target = sizes.recommended.target_mm
+    rows = sizes.table.filter(target_mm=target).sort(polars.col("outlet").cast(_ORDER))
+    volume = min(rows["volume_m3"], key=lambda each: abs(each - plans.find_volume(sizes.site)))
+    caption = f"Outlets, cistern {volume:g} m³, target {target:g} mm"
+    table = _tabulate(sizes, caption, "outlet", rows.filter(volume_m3=volume))
+    results = {outlet: values for outlet, *values in table.rows}
+    idle = NONE in results and results[NONE] == results.get(PLAN)
+    return table, idle * [
+        "Here, plan equals none: without a forecast, it keeps 20 days of demand, more than this "
+        "cistern holds. With a forecast (greenroof simulate --outlet plan), it makes room for rain."
+    ]
 
 
 def tabulate_volumes(sizes: Sizes) -> list[Table]:
@@ -218,14 +236,13 @@ def tabulate_volumes(sizes: Sizes) -> list[Table]:
 def _tabulate(
     sizes: Sizes, caption: str, varied: str, table: polars.DataFrame, names: Sequence[str] = MAIN
 ) -> Table:
-    """Return the table of designs that differ in a column, ``volume_m3`` or ``target_mm``."""
+    """Return the table of designs that differ in a column of :data:`_VARIED`."""
     shown = {name: SHOWN[name] for name in names}
     rows = table.to_dicts()
     own = getattr(sizes.recommended, varied)
     return Table(
-        caption, [_HEADINGS[varied], *shown.values()],
-        [[f"{row[varied]:g}", *(write_range(row, *each) for each in shown.items())]
-         for row in rows],
+        caption, [_VARIED[varied], *shown.values()],
+        [[row[varied], *(write_range(row, *each) for each in shown.items())] for row in rows],
         frozenset(place for place, row in enumerate(rows) if row[varied] == own),
     )
 
@@ -239,7 +256,7 @@ def _tabulate_assumptions(sizes: Sizes) -> Table:
         [
             [row["assumption"], row["value"], *(write_range(row, *each) for each in shown.items()),
              f"{row['best_cistern_m3']:g}"]
-            for row in find_ranges(sizes.tested, BY_TEST).to_dicts()
+            for row in find_ranges(sizes.tested, plans.BY_TEST).to_dicts()
         ],
         frozenset({0}),
     )
@@ -297,7 +314,7 @@ def _draw(
 ) -> Figure:
     """Return a figure with a panel for each result."""
     x = alt.X(
-        f"{varied}:Q", title=_HEADINGS[varied],
+        f"{varied}:Q", title=_VARIED[varied].heading,
         axis=alt.Axis(values=sorted({*table[varied]}), format="~g", labelOverlap=True),
         scale=alt.Scale(type=scale, nice=False, zero=False),
     )
