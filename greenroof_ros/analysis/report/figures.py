@@ -71,10 +71,8 @@ def _compare(place: polars.DataFrame, report: Report) -> figures.Panel:
 def _axis(axis: Any, metric: str) -> Any:
     """Return the axis of a metric."""
     column = COLUMNS[metric]
-    return axis(
-        f"{metric}:Q", title=column.heading, scale=alt.Scale(padding=8),
-        axis=alt.Axis(format="%" if column.unit == "%" else alt.Undefined),
-    )
+    form = alt.Axis(format="%" if column.unit == "%" else alt.Undefined)
+    return axis(f"{metric}:Q", title=column.heading, axis=form)
 
 
 MAX_POINTS = 500
