@@ -102,18 +102,16 @@ class Storms:
     @property
     def sentence(self) -> str:
         """The results of the last case in every storm, and of ``drain``, which foresees nothing."""
-        texts = list[str]()
-        for case in dict.fromkeys([self.table["case"][-1], f"valve {DRAIN}"]):
-            known = ", which has a perfect forecast here" if case == f"valve {PLAN}" else ""
-            storms = [
+        told = pl.col("case").is_in([self.table["case"][-1], f"valve {DRAIN}"])
+        foresight = {f"valve {PLAN}": ", which has a perfect forecast here"}
+        cases = self.table.filter(told).group_by("case", maintain_order=True)
+        return "The peak is lower than without the cistern and the green roof. " + " ".join(
+            f"With {case}{foresight.get(str(case), '')}: " + "; ".join(
                 f"a storm of {years:g} years ({rain:.0f} mm in {self.duration} min) by "
                 f"{format_share(less / 100)} %, to {peak:.1f} L/s"
-                for _, years, rain, peak, less, *_ in self.table.filter(case=case).rows()
-            ]
-            texts += [f"With {case}{known}: {'; '.join(storms)}."] * bool(storms)
-        return " ".join([
-            "With the cistern and the green roof, the peak is lower than without them.", *texts
-        ])
+                for _, years, rain, peak, less, *_ in rows.rows()
+            ) + "." for (case,), rows in cases
+        )
 
     @property
     def shown(self) -> Table:

@@ -109,7 +109,7 @@ def main() -> None:
     console = PlainConsole()
     console.print(sizes.sentence, style="bold")
     outlets, remarks = describe_outlets(sizes)
-    for table in (outlets, tabulate_volumes(sizes)[0]):
+    for table in (*outlets, tabulate_volumes(sizes)[0]):
         console.print_table(table.caption, table.headings(), table.texts(), table.marked)
     for note in (*remarks, *sizes.read, *sizes.notes):
         console.print(f"NOTE: {note}")

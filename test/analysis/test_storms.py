@@ -182,9 +182,9 @@ def test_the_command_writes_a_page(tmp_path: Path) -> None:
     printed = " ".join(done.stdout.split())
     assert "2 h after the last" in printed
     # The result with a perfect forecast is not given without the one that needs none.
-    foreseen, _, drained = printed.partition("2 h after the last")[0].partition("With valve drain:")
-    assert "With valve plan, which has a perfect forecast here: a storm of 2 years" in foreseen
-    assert drained.startswith(" a storm of 2 years (33 mm in 120 min) by ")
+    drained, _, foreseen = printed.partition("With valve plan, which has a perfect forecast here:")
+    assert "With valve drain: a storm of 2 years (33 mm in 120 min) by " in drained
+    assert foreseen.startswith(" a storm of 2 years (33 mm in 120 min) by ")
     made = {file.name for file in (tmp_path / "council").rglob("*.*")}
     assert made == {"storms.html", "storms.csv", "storms.svg", "storms.png"}
     table = pl.read_csv(tmp_path / "council" / "storms.csv")

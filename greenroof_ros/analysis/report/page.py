@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from textwrap import shorten
 from typing import Any
 
@@ -12,13 +12,12 @@ from greenroof_ros.analysis.assumptions import list_assumptions
 from greenroof_ros.analysis.figures import Figure
 from greenroof_ros.analysis.page import Section, make_page
 from greenroof_ros.analysis.report.runs import Report, rank
-from greenroof_ros.analysis.tables import BOUNDS, COLUMNS, WET, Table, write, write_range
+from greenroof_ros.analysis.tables import BOUNDS, COLUMNS, STRESS, WET, Table, write, write_range
 from greenroof_ros.base.text import number_of
 from greenroof_ros.results.metrics import METRICS
 
 # Water that enters the sewer in dry weather is not kept out of it.
 _BESIDE = {WET: ("discharge_m3", "retention_share")}
-STRESS = "stress_hours"
 # With more cases than this, only results.csv contains the results of the others.
 _MAX_CASES = 8
 # Longer notes are cut; results.csv and summary.json contain all of them.
@@ -60,25 +59,24 @@ def render(report: Report, figures: Sequence[Figure]) -> str:
 
 def answer(report: Report) -> str:
     """Return the answer: the best cases, what one of them achieves, and what the runs cover."""
-    runs, name, won = report.sources.runs, report.show[0], dict[str, list[str]]()
-    shown = _columns(report)
+    runs, won = report.sources.runs, dict[str, list[str]]()
     for place in report.places:
         won.setdefault(place["case"][0], []).append(place["place"][0])
     best, *others = report.places[0].to_dicts()
     winners = ", ".join(
         case + f" ({'; '.join(places)})" * bool(places[0]) for case, places in won.items()
     )
-    sentences = [f"Best by {COLUMNS[name].label}: {winners}"] * (len(runs) > 1) + [
-        f"For {best['place'] or best['case']}: " + "; ".join(
-            f"{COLUMNS[each].label} {_write(best, each)}" for each in shown
-        )
-    ]
-    sentences += [
-        f"With {case['case']}: " + ", ".join([_write(case, name), *(
-            f"{COLUMNS[each].label} {_write(case, each)}" for each in shown if each == STRESS
-        )]) for case in others if case["case"] == runs[0].row["case"]
-    ]
-    return ". ".join([*sentences, _describe_runs(report)]) + "."
+    told = {best["place"] or best["case"]: best} | {
+        case["case"]: case for case in others if case["case"] == runs[0].row["case"]
+    }
+    return ". ".join([
+        *[f"Best by {COLUMNS[report.show[0]].label}: {winners}"] * (len(runs) > 1),
+        *(f"For {name}: " + "; ".join(
+            f"{COLUMNS[each].label} {write_range(case, each, COLUMNS[each])} {COLUMNS[each].unit}"
+            .rstrip() for each in _columns(report)
+        ) for name, case in told.items()),
+        _describe_runs(report),
+    ]) + "."
 
 
 def _describe_runs(report: Report) -> str:
@@ -92,12 +90,6 @@ def _describe_runs(report: Report) -> str:
     }
     return "; ".join(f"{name}: {shorten(', '.join(dict.fromkeys(each)), _MAX_NOTE)}"
                      for name, each in texts.items() if each)
-
-
-def _write(case: Mapping[str, Any], name: str) -> str:
-    """Return a result of a case with its range and unit."""
-    column = COLUMNS[name]
-    return f"{write_range(case, name, column)} {column.unit}".rstrip()
 
 
 def _columns(report: Report) -> list[str]:

@@ -16,22 +16,18 @@ from greenroof_ros.analysis.page import Section, claim_output, make_page, write_
 from greenroof_ros.analysis.references import PEAKS
 from greenroof_ros.analysis.seasons import find_ranges
 from greenroof_ros.analysis.sizing import designs as plans
-from greenroof_ros.analysis.sizing.designs import BY_DESIGN, KEPT, LOST, MAIN, NONE, SHOWN, Design
-from greenroof_ros.analysis.tables import Column, Table, tabulate_peaks, write_range
+from greenroof_ros.analysis.sizing.designs import BY_DESIGN, KEPT, LOST, MAX_LOST, SHOWN, Design
+from greenroof_ros.analysis.tables import Table, tabulate_peaks, write_range
 from greenroof_ros.controllers.outlet import PLAN
 from greenroof_ros.site.site import Site
 
 _TITLE = "Which cistern for the green roof?"
 _RESTS_ON = ("mains_m3", "wet_discharge_m3", KEPT, "discharge_m3", LOST)
-_OF_TARGETS = (*MAIN, LOST, "stress_hours")
+_OF_TARGETS = (*plans.MAIN, LOST, "stress_hours")
 _COMPARED = ("wet_discharge_m3", "discharge_m3", "retention_share", "overflow_days")
 # The peaks that are shown (min).
 _PEAK_MIN = 5
-_ORDER = polars.Enum(plans.OUTLETS)
-_VARIED = {
-    "volume_m3": Column("cistern", "m³", "{:g}".format),
-    "target_mm": Column("target", "mm", "{:g}".format), "outlet": Column("outlet", ""),
-}
+_VARIED = {"volume_m3": "cistern (m³)", "target_mm": "target (mm)", "outlet": "outlet"}
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -92,9 +88,7 @@ class Sizes:
             f"{text['demand_met_share']} % of {uses} is rain, {text['mains_m3']} m³ is "
             "mains water, and "
         )
-        kept = "" if row[KEPT] is None else (
-            f", {text[KEPT]} % less than the rain on the roofs"
-        )
+        kept = "" if row[KEPT] is None else f", {text[KEPT]} % less than the rain on the roofs"
         few = "" if len(self.seasons) > 1 else (
             "One season is too few for a recommendation: what the cistern holds at its start "
             "counts as much as the rain. "
@@ -104,19 +98,8 @@ class Sizes:
             f"{own.target_mm:g} mm of water on the roof are recommended. In a season, {watered}"
             f"{text['wet_discharge_m3']} m³ reaches the sewer in wet weather{kept}. In all "
             f"weather, {text['discharge_m3']} m³ reaches the sewer, a retention of "
-            f"{text['retention_share']} %.{self._compare()}"
+            f"{text['retention_share']} %."
         )
-
-    def _compare(self) -> str:
-        """Return what the recommended cistern does without its valve; empty without a valve."""
-        own = self.recommended._replace(outlet=NONE)
-        plain = self.table.filter(**own._asdict()).to_dicts()
-        if not plain or own == self.recommended:
-            return ""
-        mains, wet = (
-            write_range(plain[0], name, SHOWN[name]) for name in ("mains_m3", "wet_discharge_m3")
-        )
-        return f" Without the valve, {mains} m³ would be mains water, and {wet} m³ wet discharge."
 
     def plot(self) -> alt.ConcatChart:
         """Return a chart of the results against the cistern's volume, with a line per outlet.
@@ -151,12 +134,10 @@ def list_sections(sizes: Sizes, figures: Sequence[Figure]) -> list[Section]:
     own, site = sizes.recommended, sizes.site
     used = sizes.table_of_seasons.filter(**own._asdict())
     rain, on_roof, lost = used.select("rain_m3", "rain_roof_m3", LOST).mean().row(0)
-    most = plans.MAX_LOST
-    losing = f"at most {100 * most:g} %" if lost <= most else "the smallest part"
+    losing = f"at most {100 * MAX_LOST:g} %" if lost <= MAX_LOST else "the smallest part"
     first, *others = tabulate_volumes(sizes)
     outlets, remarks = describe_outlets(sizes)
-    several = len(sizes.seasons) > 1
-    ranges = ", with the lowest and the highest season in brackets" if several else ""
+    ranges = ", with the lowest and the highest season in brackets" * (len(sizes.seasons) > 1)
     return [
         Section("The recommendation", [
             f"The green roof covers {site.a2:g} m². Another {site.a_in:g} m² of roofs drain to the "
@@ -173,10 +154,10 @@ def list_sections(sizes: Sizes, figures: Sequence[Figure]) -> list[Section]:
             f"Wet weather is the time of rain and the {site.wet_after:g} h after it. Water that "
             "the valve releases in dry weather reaches the same sewer: it counts in the discharge "
             "and in the retention, but not in the discharge in wet weather.",
-            outlets, *remarks, first,
+            *outlets, *remarks, first,
         ]),
         Section("Compared with no green roof", [
-            _tabulate_references(sizes), *[_tabulate_peaks(sizes)] * several,
+            _tabulate_references(sizes), *[_tabulate_peaks(sizes)] * bool(ranges),
         ]),
         Section("Pictures", figures),
         Section("What it rests on", [
@@ -203,21 +184,24 @@ def _select_targets(sizes: Sizes) -> polars.DataFrame:
     return sizes.table.filter(volume_m3=volume, outlet=outlet).sort("target_mm")
 
 
-def describe_outlets(sizes: Sizes) -> tuple[Table, list[str]]:
-    """Return the table of the outlets, and remarks: that ``plan`` has no effect, if that is so.
+def describe_outlets(sizes: Sizes) -> tuple[list[Table], list[str]]:
+    """Return tables of the outlets, and remarks: that ``plan`` has no effect, if that is so.
 
-    The volume is that of the compared cisterns that is nearest to the site's own.
+    The first one is for the compared volume that is nearest to that of the site's own cistern, and
+    the second one for the recommended volume.
     """
-    target = sizes.recommended.target_mm
-    rows = sizes.table.filter(target_mm=target).sort(polars.col("outlet").cast(_ORDER))
-    volume = min(rows["volume_m3"], key=lambda each: abs(each - plans.find_volume(sizes.site)))
-    caption = f"Outlets, cistern {volume:g} m³, target {target:g} mm"
-    table = _tabulate(sizes, caption, "outlet", rows.filter(volume_m3=volume))
-    results = {outlet: values for outlet, *values in table.rows}
-    idle = NONE in results and results[NONE] == results.get(PLAN)
-    return table, idle * [
-        "Here, plan equals none: without a forecast, it keeps 20 days of demand, more than this "
-        "cistern holds. With a forecast (greenroof simulate --outlet plan), it makes room for rain."
+    target, own = sizes.recommended.target_mm, plans.find_volume(sizes.site)
+    rows = sizes.table.filter(target_mm=target).sort("outlet")
+    nearest = min(rows["volume_m3"], key=lambda volume: abs(volume - own))
+    tables = [
+        _tabulate(sizes, f"Outlets, cistern {volume:g} m³, target {target:g} mm", "outlet",
+                  rows.filter(volume_m3=volume))
+        for volume in dict.fromkeys([nearest, sizes.recommended.volume_m3])
+    ]
+    results = {outlet: values for outlet, *values in tables[0].rows}
+    return tables, (plans.NONE in results and results[plans.NONE] == results.get(PLAN)) * [
+        f"With {nearest:g} m³, plan equals none: without a forecast, it keeps 20 days of demand, "
+        "more than the cistern holds. With one (greenroof simulate --outlet plan), it makes room."
     ]
 
 
@@ -234,7 +218,7 @@ def tabulate_volumes(sizes: Sizes) -> list[Table]:
 
 
 def _tabulate(
-    sizes: Sizes, caption: str, varied: str, table: polars.DataFrame, names: Sequence[str] = MAIN
+    sizes: Sizes, caption: str, varied: str, table: polars.DataFrame, names: Sequence[str] = plans.MAIN
 ) -> Table:
     """Return the table of designs that differ in a column of :data:`_VARIED`."""
     shown = {name: SHOWN[name] for name in names}
@@ -242,7 +226,8 @@ def _tabulate(
     own = getattr(sizes.recommended, varied)
     return Table(
         caption, [_VARIED[varied], *shown.values()],
-        [[row[varied], *(write_range(row, *each) for each in shown.items())] for row in rows],
+        [[f"{row[varied]}".removesuffix(".0"), *(write_range(row, *each) for each in shown.items())]
+         for row in rows],
         frozenset(place for place, row in enumerate(rows) if row[varied] == own),
     )
 
@@ -314,7 +299,7 @@ def _draw(
 ) -> Figure:
     """Return a figure with a panel for each result."""
     x = alt.X(
-        f"{varied}:Q", title=_VARIED[varied].heading,
+        f"{varied}:Q", title=_VARIED[varied],
         axis=alt.Axis(values=sorted({*table[varied]}), format="~g", labelOverlap=True),
         scale=alt.Scale(type=scale, nice=False, zero=False),
     )

@@ -55,7 +55,8 @@ def test_means_by_hand(tmp_path: Path) -> None:
     assert full["retention of the roof (%)"] == ["none", "62 (50 to 75)"]
     assert answer(report) == (
         "Best by total deviation: other. For other: total deviation 140 (80 to 200) m³. "
-        "With on/off: 150 (100 to 200) m³. Site: site.yaml; period: May; seasons: 2015 to 2025."
+        "For on/off: total deviation 150 (100 to 200) m³. Site: site.yaml; period: May; "
+        "seasons: 2015 to 2025."
     )
     assert list(figures_of(report)) == ["comparison"]
 
@@ -102,7 +103,8 @@ def test_water_stress_is_shown_where_it_differs(tmp_path: Path) -> None:
     report = study_of(tmp_path / "study", *wet, *dry)
     assert answer(report) == (  # 6.88 m3 on the 68.8 m2 of the paper's roof
         "Best by total deviation: dry. For dry: total deviation 1 m³; water stress 3155 h. "
-        "With wet: 2 m³, water stress 0 h. Site: site.yaml; period: May; seasons: 2020 to 2020; "
+        "For wet: total deviation 2 m³; water stress 0 h. Site: site.yaml; period: May; "
+        "seasons: 2020 to 2020; "
         "rain on the roof: 100 mm."
     )
     assert [texts[2] for texts in make_table(report, _columns(report)).texts()[:2]] == ["3155", "0"]
