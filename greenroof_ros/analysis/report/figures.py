@@ -163,9 +163,8 @@ def draw_over_time(runs: Mapping[str, tuple[Site, Trajectory]]) -> list[figures.
             area = chart.mark_area(interpolate="step-after", line={"color": "#0072B2"})
             panels.append(figures.Panel(area.encode(color=alt.value("#56B4E9")), "", _RAIN_HEIGHT))
             continue
-        chart = chart.mark_line(strokeWidth=1.6).encode(
-            **figures.distinguish_series("case", list(runs))
-        )
+        series = figures.distinguish_series("case", list(runs))
+        chart = chart.mark_line(strokeWidth=1.6).encode(**series)
         if title in _LEVELS and all(other == site for other, _ in others):
             levels = _LEVELS[title](site).items()
             rule: Any = alt.Chart(alt.InlineData(

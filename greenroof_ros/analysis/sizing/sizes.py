@@ -16,14 +16,14 @@ from greenroof_ros.analysis.page import Section, claim_output, make_page, write_
 from greenroof_ros.analysis.references import PEAKS
 from greenroof_ros.analysis.seasons import find_ranges
 from greenroof_ros.analysis.sizing import designs as plans
-from greenroof_ros.analysis.sizing.designs import BY_DESIGN, KEPT, LOST, MAX_LOST, SHOWN, Design
+from greenroof_ros.analysis.sizing.designs import KEPT, LOST, MAIN, MAX_LOST, SHOWN, Design
 from greenroof_ros.analysis.tables import Table, tabulate_peaks, write_range
 from greenroof_ros.controllers.outlet import PLAN
 from greenroof_ros.site.site import Site
 
 _TITLE = "Which cistern for the green roof?"
 _RESTS_ON = ("mains_m3", "wet_discharge_m3", KEPT, "discharge_m3", LOST)
-_OF_TARGETS = (*plans.MAIN, LOST, "stress_hours")
+_OF_TARGETS = (*MAIN, LOST, "stress_hours")
 _COMPARED = ("wet_discharge_m3", "discharge_m3", "retention_share", "overflow_days")
 # The peaks that are shown (min).
 _PEAK_MIN = 5
@@ -72,7 +72,7 @@ class Sizes:
 
         The columns of the lowest and the highest value end in ``_min`` and ``_max``.
         """
-        return find_ranges(self.table_of_seasons, BY_DESIGN)
+        return find_ranges(self.table_of_seasons, plans.BY_DESIGN)
 
     @property
     def sentence(self) -> str:
@@ -190,13 +190,12 @@ def describe_outlets(sizes: Sizes) -> tuple[list[Table], list[str]]:
     The first one is for the compared volume that is nearest to that of the site's own cistern, and
     the second one for the recommended volume.
     """
-    target, own = sizes.recommended.target_mm, plans.find_volume(sizes.site)
-    rows = sizes.table.filter(target_mm=target).sort("outlet")
+    own = plans.find_volume(sizes.site)
+    rows = sizes.table.filter(target_mm=sizes.recommended.target_mm).sort("outlet")
     nearest = min(rows["volume_m3"], key=lambda volume: abs(volume - own))
     tables = [
-        _tabulate(sizes, f"Outlets, cistern {volume:g} m³, target {target:g} mm", "outlet",
-                  rows.filter(volume_m3=volume))
-        for volume in dict.fromkeys([nearest, sizes.recommended.volume_m3])
+        _tabulate(sizes, f"Outlets, cistern {each:g} m³", "outlet", rows.filter(volume_m3=each))
+        for each in dict.fromkeys([nearest, sizes.recommended.volume_m3])
     ]
     results = {outlet: values for outlet, *values in tables[0].rows}
     return tables, (plans.NONE in results and results[plans.NONE] == results.get(PLAN)) * [
@@ -218,7 +217,7 @@ def tabulate_volumes(sizes: Sizes) -> list[Table]:
 
 
 def _tabulate(
-    sizes: Sizes, caption: str, varied: str, table: polars.DataFrame, names: Sequence[str] = plans.MAIN
+    sizes: Sizes, caption: str, varied: str, table: polars.DataFrame, names: Sequence[str] = MAIN
 ) -> Table:
     """Return the table of designs that differ in a column of :data:`_VARIED`."""
     shown = {name: SHOWN[name] for name in names}
