@@ -132,11 +132,11 @@ def test_contradictions(tmp_path: Path, plain: str, other: str) -> None:
 
 @pytest.mark.parametrize(
     ("key", "range_"), [
-        ("cistern_volume", "from 0.01 to 100000 m3"), ("cistern_height", "from 0.1 to 50 m"),
+        ("cistern_volume", "from 0.01 to 5000 m3"), ("cistern_height", "from 0.1 to 50 m"),
         ("catchment_area", "from 0.1 to 1000000 m2"), ("roof_area", "from 0.1 to 1000000 m2"),
         ("substrate_depth", "from 0.02 to 2 m"), ("pump_flow", "from 1 to 1000000 l/h"),
         ("irrigation_rate", "from 0.1 to 1000 mm/h"), ("emitter_flow", "from 0.1 to 100 l/h"),
-        ("emitters", "from 1 to 10000000"),
+        ("emitters", "from 1 to 10000000"), ("mains_flow", "from 1e-06 to 0.2 m3/s"),
     ],
 )
 def test_what_is_no_number_of_its_range(tmp_path: Path, key: str, range_: str) -> None:

@@ -185,7 +185,7 @@ def _select_targets(sizes: Sizes) -> polars.DataFrame:
 
 
 def describe_outlets(sizes: Sizes) -> tuple[list[Table], list[str]]:
-    """Return tables of the outlets, and remarks: that ``plan`` has no effect, if that is so.
+    """Return tables of several outlets, and remarks: that ``plan`` has no effect, if so.
 
     The first one is for the compared volume that is nearest to that of the site's own cistern, and
     the second one for the recommended volume.
@@ -198,7 +198,7 @@ def describe_outlets(sizes: Sizes) -> tuple[list[Table], list[str]]:
         for each in dict.fromkeys([nearest, sizes.recommended.volume_m3])
     ]
     results = {outlet: values for outlet, *values in tables[0].rows}
-    return tables, (plans.NONE in results and results[plans.NONE] == results.get(PLAN)) * [
+    return tables * (len(results) > 1), (results.get(plans.NONE, 0) == results.get(PLAN)) * [
         f"With {nearest:g} m³, plan equals none: without a forecast, it keeps 20 days of demand, "
         "more than the cistern holds. With one (greenroof simulate --outlet plan), it makes room."
     ]

@@ -58,7 +58,10 @@ def test_means_by_hand(tmp_path: Path) -> None:
         "For on/off: total deviation 150 (100 to 200) m³. Site: site.yaml; period: May; "
         "seasons: 2015 to 2025."
     )
-    assert list(figures_of(report)) == ["comparison"]
+    (figure,) = figures_of(report).values()
+    assert figure.name == "comparison"
+    figure.save(tmp_path)
+    assert "\N{MINUS SIGN}" not in (tmp_path / "comparison.svg").read_text()  # axes begin at 0
 
 
 def test_a_study_shows_what_it_asks(tmp_path: Path) -> None:
