@@ -225,9 +225,13 @@ def metrics() -> str:
     def kind(entry: Metric) -> str:
         return re.sub(r"\d+min|\d+ min", "MINUTES", entry.name + entry.meaning)
 
-    groups = (list(group) for _, group in itertools.groupby(METRICS, kind))
+    def meaning(group: list[Metric]) -> str:
+        times = (found[0] for entry in group if (found := re.search(r"\d+(?= min)", entry.meaning)))
+        return re.sub(r"\d+(?= min)", ", ".join(dict.fromkeys(times)), group[0].meaning)
+
+    groups = [list(group) for _, group in itertools.groupby(METRICS, kind)]
     return entries(
-        (", ".join(f"`{entry.name}`" for entry in group), "", group[0].meaning) for group in groups
+        (", ".join(f"`{entry.name}`" for entry in group), "", meaning(group)) for group in groups
     )
 
 

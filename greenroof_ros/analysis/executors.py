@@ -21,7 +21,10 @@ from greenroof_ros.base.processes import count_cores, scratch_directory
 
 # Longest time between two reports of progress (s).
 _REFRESH_S = 0.5
-_LOST = "a worker was killed, or the connection to it was lost; if memory ran out, reduce --jobs"
+_LOST = (
+    "a worker was killed, or the connection to it was lost; if memory ran out, reduce --jobs; a "
+    "script must call this package below if __name__ == '__main__':, because workers import it"
+)
 
 class WorkersLostError(BrokenExecutor):
     """Raised when the workers cannot continue; the message states what was lost."""

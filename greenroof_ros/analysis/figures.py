@@ -112,8 +112,7 @@ def _draw(chart: Any) -> str:
 def distinguish_series(name: str, values: list[str], *, points: bool = False) -> dict[str, Any]:
     """Distinguish the series of a field by colour, and lines by dashes or points by shape.
 
-    Vega repeats them if there are too few. Without series there is no legend, because the size of
-    an empty legend is NaN in Vega.
+    Vega repeats them if there are too few. A single series needs no legend.
     """
     own: Any = ("strokeDash", alt.StrokeDash, _DASHES)
     legend = alt.Legend(symbolSize=600, symbolType="stroke")
@@ -122,7 +121,7 @@ def distinguish_series(name: str, values: list[str], *, points: bool = False) ->
     return {
         key: channel(
             f"{name}:N", title=None, scale=alt.Scale(domain=values, range=[*choices]),
-            legend=legend if values else None,
+            legend=legend if len(values) > 1 else None,
         ) for key, channel, choices in (("color", alt.Color, COLOURS), own)
     }
 

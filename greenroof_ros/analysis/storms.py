@@ -16,9 +16,10 @@ import polars as pl
 from greenroof_ros.analysis.figures import COLOURS, Figure, Panel
 from greenroof_ros.analysis.page import Section, claim_output, make_page, write_output
 from greenroof_ros.analysis.references import NO_IRRIGATION, NO_ROOF, remove_cistern
-from greenroof_ros.analysis.tables import Table, format_number
+from greenroof_ros.analysis.tables import Table, format_number, format_share
 from greenroof_ros.base.errors import ConfigurationError, describe_choices
 from greenroof_ros.base.ranges import Range
+from greenroof_ros.controllers.outlet import DRAIN, PLAN
 from greenroof_ros.controllers.registry import find_controller
 from greenroof_ros.physics.storm_water import connected_area
 from greenroof_ros.simulation import loop
@@ -100,16 +101,16 @@ class Storms:
 
     @property
     def sentence(self) -> str:
-        """The results of the last case in every storm."""
-        case = self.table["case"][-1]
-        storms = "; ".join(
-            f"a storm of {years:g} years ({rain:.0f} mm in {self.duration} min) by {less:.0f} %, "
-            f"to {peak:.1f} L/s"
-            for _, years, rain, peak, less, *_ in self.table.filter(case=case).rows()
-        )
-        return (
-            f"With the cistern and the green roof ({case}), the peak is lower than without them: "
-            f"in {storms}."
+        """The results of the last case in every storm, and of ``drain``, which foresees nothing."""
+        told = pl.col("case").is_in([self.table["case"][-1], f"valve {DRAIN}"])
+        foresight = {f"valve {PLAN}": ", which has a perfect forecast here"}
+        cases = self.table.filter(told).group_by("case", maintain_order=True)
+        return "The peak is lower than without the cistern and the green roof. " + " ".join(
+            f"With {case}{foresight.get(str(case), '')}: " + "; ".join(
+                f"a storm of {years:g} years ({rain:.0f} mm in {self.duration} min) by "
+                f"{format_share(less / 100)} %, to {peak:.1f} L/s"
+                for _, years, rain, peak, less, *_ in rows.rows()
+            ) + "." for (case,), rows in cases
         )
 
     @property

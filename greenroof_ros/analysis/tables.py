@@ -11,6 +11,7 @@ from greenroof_ros.results.metrics import METRICS, Metric
 from greenroof_ros.site.site import Site
 
 TOTAL, WET, MAINS = "total_deviation_m3", "wet_discharge_m3", "mains_m3"
+STRESS = "stress_hours"
 BOUNDS = {TOTAL: "bound_m3", WET: "bound_wet_discharge_m3", MAINS: "bound_mains_m3"}
 """the results of the minimum possible values, by metric"""
 
@@ -93,9 +94,6 @@ def write_range(
 
 def tabulate_peaks(what: str, peaks: Mapping[str, Iterable[float]]) -> Table:
     """Return the table of the five highest peaks of each case, by return period.
-
-    The plotting position is Weibull's: the m-th largest of n values has a return period of
-    (n + 1) / m.
 
     Args:
         what: the peaks in words.

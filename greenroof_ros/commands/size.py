@@ -99,7 +99,7 @@ def main() -> None:
     output: Path = given.pop("output")
     with require_extra("study"):
         from greenroof_ros.analysis.page import claim_output
-        from greenroof_ros.analysis.sizing.sizes import tabulate_volumes
+        from greenroof_ros.analysis.sizing.sizes import describe_outlets, tabulate_volumes
     claim_output(output, PAGE, [TABLE])
     names = {name: option_of(name) for name in given}
     with ProgressBar(signals=Signals()) as bar, rename_keys(names):
@@ -108,9 +108,10 @@ def main() -> None:
         page = sizes.save(output)
     console = PlainConsole()
     console.print(sizes.sentence, style="bold")
-    table = tabulate_volumes(sizes)[0]
-    console.print_table(table.caption, table.headings(), table.texts(), table.marked)
-    for note in (*sizes.read, *sizes.notes):
+    outlets, remarks = describe_outlets(sizes)
+    for table in (*outlets, tabulate_volumes(sizes)[0]):
+        console.print_table(table.caption, table.headings(), table.texts(), table.marked)
+    for note in (*remarks, *sizes.read, *sizes.notes):
         console.print(f"NOTE: {note}")
     console.print(
         f"written to {page}, which also shows what the result rests on, and {TABLE}",

@@ -87,9 +87,11 @@ def valid_number(kind: Any, member: str, subject: str, value: Any, valid: Range)
     if value in valid:
         return float(value)
     file, line = find_place(kind, member, "command")
+    # A function has no name that check-controller could take.
+    hint = "" if hasattr(kind, "__wrapped__") else " (greenroof check-controller detects this)"
     raise ControllerError(
-        f"{valid.expected(value)} (greenroof check-controller detects this before a run)",
-        file=file, line=line, key=f"{subject} of {kind.__name__} = {describe_value(value)}",
+        valid.expected(value) + hint, file=file, line=line,
+        key=f"{subject} of {kind.__name__} = {describe_value(value)}",
     )
 
 

@@ -148,8 +148,9 @@ def note_arrays(kind: Any) -> list[str]:
     if is_own(kind) or takes_numpy(kind):
         return []
     return [
-        f"{kind.__name__}.command() receives its forecasts as array.array, for which * repeats; a "
-        "future version passes numpy arrays, as it does now to arguments annotated numpy.ndarray"
+        f"{kind.__name__}.command() receives its forecasts as array.array, with which 2 * rain is "
+        "twice as long, not twice as much; annotate them as numpy.ndarray to receive numpy arrays, "
+        "which a future version always passes"
     ]
 
 

@@ -89,7 +89,7 @@ class _PlainKeys:
     """The plain keys, each of which is optional."""
 
     cistern_volume: float | None = _plain(
-        "a1", "volume of the cistern up to its overflow", 0.01, 1e5, "m3", (1, 50)
+        "a1", "volume of the cistern up to its overflow", 0.01, 5e3, "m3", (1, 50)
     )
     cistern_height: float | None = _plain(
         "z_o", "height of the cistern's overflow above its base", 0.1, 50.0, "m", (1, 3)

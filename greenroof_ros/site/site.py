@@ -77,7 +77,7 @@ class Cistern:
         "level of the cistern below which a float valve adds mains water; if omitted, there is no "
         "mains supply", 0.01, 100.0, unit="m", default=None,
     )
-    mains_flow: float | None = entry("flow of mains water", 1e-6, 1.0, unit="m3/s", default=None)
+    mains_flow: float | None = entry("flow of mains water", 1e-6, 0.2, unit="m3/s", default=None)
     monthly_other_demand: tuple[float, ...] | None = entry(
         "mean of the water that other uses than the roof need in each month, such as toilets or a "
         "garden, in a list from January to December; drawn from the cistern after the pump, down "

@@ -129,6 +129,12 @@ def test_the_command_writes_a_page(tmp_path: Path) -> None:
     for options in ((), ("--rain-factor", "1.2")):  # a second result replaces the first
         done = storm(tmp_path, "--site", str(VALVE), "--run", "council", *options)
         assert done.returncode == 0, done.stderr
+    printed = " ".join(done.stdout.split())
+    assert "2 h after the last" in printed
+    # The result with a perfect forecast is not given without the one that needs none.
+    drained, _, foreseen = printed.partition("With valve plan, which has a perfect forecast here:")
+    assert "With valve drain: a storm of 2 years (33 mm in 120 min) by " in drained
+    assert foreseen.startswith(" a storm of 2 years (33 mm in 120 min) by ")
     assert (tmp_path / "council" / "storms.html").is_file()
     table = pl.read_csv(tmp_path / "council" / "storms.csv")
     assert table["rain_mm"].unique().sort().to_list() == pytest.approx([32.52, 51.36, 74.88])

@@ -294,6 +294,13 @@ def test_what_is_wrong_is_named(inputs: dict[str, object], reason: str) -> None:
     refusal(lambda: gr.simulate(**inputs), match=reason)  # type: ignore[arg-type]
 
 
+def test_a_function_is_not_sent_to_the_check_of_classes() -> None:
+    """``check-controller`` takes no function; the line of the function is named."""
+    message = refusal(lambda: gr.simulate(lambda state, forecast: -8.6e-8, hours=0.1))
+    assert "test_simulate.py, line " in message and "= -8.6e-08: must be" in message
+    assert "check-controller" not in message
+
+
 def test_a_saved_run_is_read_by_the_report(tmp_path: Path) -> None:
     """As the directory of a run, with its trajectory; nothing is overwritten."""
     result = gr.simulate("onoff", level=0.9, hours=1)
@@ -301,7 +308,7 @@ def test_a_saved_run_is_read_by_the_report(tmp_path: Path) -> None:
     refusal(result.save, tmp_path / "mine", match="never overwrites")
     sources = find_runs([tmp_path / "mine"])
     (run,) = sources.runs
-    assert "controller onoff, fraction 1.0, level 0.9" in sources.read[0]
+    assert "onoff, fraction 1.0, level 0.9" in sources.read[0]
     assert run.row["total_deviation_m3"] == result.metrics["total_deviation_m3"]
     trajectory = run.trajectory()
     assert trajectory is not None

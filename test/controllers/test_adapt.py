@@ -67,7 +67,7 @@ def simulate(kind: Any, **inputs: Any) -> list[str]:
 
 def test_a_class_of_today_receives_what_it_did_and_a_note() -> None:
     (note,) = simulate(Today)
-    assert note.startswith("Today.command() receives its forecasts as array.array, for which *")
+    assert note.startswith("Today.command() receives its forecasts as array.array, with which 2 *")
     assert all(type(each) is array for pair in Today.seen for each in pair)
 
 

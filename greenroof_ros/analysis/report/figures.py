@@ -71,10 +71,8 @@ def _compare(place: polars.DataFrame, report: Report) -> figures.Panel:
 def _axis(axis: Any, metric: str) -> Any:
     """Return the axis of a metric."""
     column = COLUMNS[metric]
-    return axis(
-        f"{metric}:Q", title=column.heading, scale=alt.Scale(padding=8),
-        axis=alt.Axis(format="%" if column.unit == "%" else alt.Undefined),
-    )
+    form = alt.Axis(format="%" if column.unit == "%" else alt.Undefined)
+    return axis(f"{metric}:Q", title=column.heading, axis=form)
 
 
 MAX_POINTS = 500
@@ -165,9 +163,8 @@ def draw_over_time(runs: Mapping[str, tuple[Site, Trajectory]]) -> list[figures.
             area = chart.mark_area(interpolate="step-after", line={"color": "#0072B2"})
             panels.append(figures.Panel(area.encode(color=alt.value("#56B4E9")), "", _RAIN_HEIGHT))
             continue
-        chart = chart.mark_line(strokeWidth=1.6).encode(
-            **figures.distinguish_series("case", list(runs) if others else [])
-        )
+        series = figures.distinguish_series("case", list(runs))
+        chart = chart.mark_line(strokeWidth=1.6).encode(**series)
         if title in _LEVELS and all(other == site for other, _ in others):
             levels = _LEVELS[title](site).items()
             rule: Any = alt.Chart(alt.InlineData(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from textwrap import shorten
 from typing import Any
 
@@ -12,7 +12,7 @@ from greenroof_ros.analysis.assumptions import list_assumptions
 from greenroof_ros.analysis.figures import Figure
 from greenroof_ros.analysis.page import Section, make_page
 from greenroof_ros.analysis.report.runs import Report, rank
-from greenroof_ros.analysis.tables import BOUNDS, COLUMNS, WET, Table, write, write_range
+from greenroof_ros.analysis.tables import BOUNDS, COLUMNS, STRESS, WET, Table, write, write_range
 from greenroof_ros.base.text import number_of
 from greenroof_ros.results.metrics import METRICS
 
@@ -22,6 +22,10 @@ _BESIDE = {WET: ("discharge_m3", "retention_share")}
 _MAX_CASES = 8
 # Longer notes are cut; results.csv and summary.json contain all of them.
 _MAX_NOTE = 160
+_NO_PICTURE = (
+    "No run kept its trajectory, so there is no picture over time. To keep it: greenroof simulate "
+    "--trajectory-every 600 (s); in Python, trajectory_every=600, also for a study."
+)
 # What is worth a note if it is more than 0 in a run.
 _NOTED = {each.name: each.meaning for each in METRICS if each.max == 0} | {
     "fallbacks": "ticks in which the controller's solver found no solution",
@@ -36,9 +40,10 @@ def render(report: Report, figures: Sequence[Figure]) -> str:
         figures: figures in the order in which they appear.
     """
     failed = Table("Runs that failed or did not finish", ("run", "reason"), report.sources.failed)
+    missing = [_NO_PICTURE] * all(run.kept is None for run in report.sources.runs)
     sections = [
         Section(failed.caption, [failed] * bool(failed.rows)),
-        Section("Results", [make_table(report, _columns(report)), *figures]),
+        Section("Results", [make_table(report, _columns(report)), *figures, *missing]),
         Section("All results", [make_full_table(report)], folded=True),
         Section("What it rests on", [make_notes(report), _tabulate_assumptions(report)]),
         Section("What was read", [report.sources.read], folded=True),
@@ -54,36 +59,48 @@ def render(report: Report, figures: Sequence[Figure]) -> str:
 
 def answer(report: Report) -> str:
     """Return the answer: the best cases, what one of them achieves, and what the runs cover."""
-    runs, name, won = report.sources.runs, report.show[0], dict[str, list[str]]()
+    runs, won = report.sources.runs, dict[str, list[str]]()
     for place in report.places:
         won.setdefault(place["case"][0], []).append(place["place"][0])
     best, *others = report.places[0].to_dicts()
     winners = ", ".join(
         case + f" ({'; '.join(places)})" * bool(places[0]) for case, places in won.items()
     )
-    sentences = [f"Best by {COLUMNS[name].label}: {winners}"] * (len(runs) > 1) + [
-        f"For {best['place'] or best['case']}: " + "; ".join(
-            f"{COLUMNS[each].label} {_write(best, each)}" for each in _columns(report)
-        )
-    ]
-    sentences += [
-        f"With {case['case']}: {_write(case, name)}" for case in others
-        if case["case"] == runs[0].row["case"]
-    ]
-    years = report.years["year"].drop_nulls()
-    sentences += [f"Seasons of {years.min()!r} to {years.max()!r}"] * bool(len(years))
-    return ". ".join(sentences) + "."
+    told = {best["place"] or best["case"]: best} | {
+        case["case"]: case for case in others if case["case"] == runs[0].row["case"]
+    }
+    return ". ".join([
+        *[f"Best by {COLUMNS[report.show[0]].label}: {winners}"] * (len(runs) > 1),
+        *(f"For {name}: " + "; ".join(
+            f"{COLUMNS[each].label} {write_range(case, each, COLUMNS[each])} {COLUMNS[each].unit}"
+            .rstrip() for each in _columns(report)
+        ) for name, case in told.items()),
+        _describe_runs(report),
+    ]) + "."
 
 
-def _write(case: Mapping[str, Any], name: str) -> str:
-    """Return a result of a case with its range and unit."""
-    column = COLUMNS[name]
-    return f"{write_range(case, name, column)} {column.unit}".rstrip()
+def _describe_runs(report: Report) -> str:
+    """Return the sites, the periods and the rain of the runs."""
+    runs, years = report.sources.runs, report.years["year"].drop_nulls()
+    rain = [1000 * each / run.site.a2 for run in runs if (each := run.row.get("rain_roof_m3"))]
+    texts = {
+        "Site": [run.row["site"] for run in runs], "period": [run.row["window"] for run in runs],
+        "seasons": [f"{years.min()!r} to {years.max()!r}"] * bool(len(years)),
+        "rain on the roof": [f"{each:.0f} mm" for each in sorted(rain)],
+    }
+    return "; ".join(f"{name}: {shorten(', '.join(dict.fromkeys(each)), _MAX_NOTE)}"
+                     for name, each in texts.items() if each)
 
 
 def _columns(report: Report) -> list[str]:
-    """Return the metrics of the main table: those shown, and what must stand beside them."""
+    """Return the metrics of the main table: those shown, and what must stand beside them.
+
+    Plants that lack water save some of it, so their stress is shown if it differs between cases.
+    """
     names = [each for name in report.show for each in (name, *_BESIDE.get(name, ()))]
+    names += [STRESS] * any(
+        place[STRESS].n_unique() > 1 for place in report.places if STRESS in report.metrics
+    )
     return [name for name in dict.fromkeys(names) if name in report.metrics]
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import functools
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime, timezone
 from pathlib import Path
@@ -17,6 +17,7 @@ from typing import Any
 
 import polars
 
+from greenroof_ros.analysis.case import tell_apart
 from greenroof_ros.analysis.tables import BOUNDS, COLUMNS, TOTAL, choose_metrics
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.files import default_site_file, read_text, read_yaml
@@ -36,6 +37,7 @@ from greenroof_ros.results.trajectory import (
 from greenroof_ros.simulation.output import DONE, SITE_FILE, SUMMARY
 from greenroof_ros.site.file import read_site
 from greenroof_ros.site.site import Site
+from greenroof_ros.weather.climate import CLIMATE
 
 _NEEDED = ("run", "site", "start", "initial", "status", "error", "window", "case", "season")
 _NUMBERS = {"fallbacks", *BOUNDS.values(), *(metric.name for metric in METRICS)}
@@ -110,7 +112,8 @@ def run_directory(path: Path) -> Path:
 def find_runs(paths: Sequence[Path], site_file: Path | None = None) -> Sources:
     """Find the runs in studies, run directories and bags, and read them.
 
-    What cannot be read counts as a run that failed.
+    What cannot be read counts as a run that failed. Runs are named by what differs in their
+    settings, or else by their directories.
 
     Args:
         paths: study directories, run directories and bags.
@@ -119,13 +122,17 @@ def find_runs(paths: Sequence[Path], site_file: Path | None = None) -> Sources:
     Raises:
         ConfigurationError: if no run has results.
     """
-    sources, names = Sources(), [run_directory(path).resolve().name for path in paths]
-    for path, name in zip(paths, names, strict=True):
-        case, reason = name if names.count(name) == 1 else str(path), ""
+    sources, abouts = Sources(), [read_about(run_directory(path)) for path in paths]
+    settings = [_describe_settings(about) for about in abouts]
+    cases = tell_apart([
+        texts | {"directory": run_directory(path).resolve().name, "path": str(path)}
+        for path, texts in zip(paths, settings, strict=True)
+    ])
+    for path, about, texts, case in zip(paths, abouts, settings, cases, strict=True):
+        reason, case = "", case or run_directory(path).resolve().name
         if (path / "results.csv").is_file():
             _read_study(path, f"{path}, " if len(paths) > 1 else "", sources)
             continue
-        about = read_about(run_directory(path))
         try:
             run = read_run(path, site_file)
         except ConfigurationError as error:
@@ -133,9 +140,7 @@ def find_runs(paths: Sequence[Path], site_file: Path | None = None) -> Sources:
         else:
             run.row["case"] = case
             sources.runs.append(run)
-            settings = {"controller": about.get("controller"), **about.get("parameters", {})}
-            texts = (f"{name} {value}" for name, value in settings.items() if value is not None)
-            sources.read.append(f"{path}: {', '.join(texts) or 'no summary'}")
+            sources.read.append(f"{path}: {', '.join(texts.values()) or 'no summary'}")
         if (status := about.get("status", DONE)) != DONE:
             ended = f"{status}, {' '.join((about.get('reason') or 'no reason known').split())}"
             reason = f"{ended}; {reason or 'its results are for the recorded part only'}"
@@ -147,6 +152,20 @@ def find_runs(paths: Sequence[Path], site_file: Path | None = None) -> Sources:
             + ": ".join(sources.failed[0])
         )
     return sources
+
+
+def _describe_settings(about: Mapping[str, Any]) -> dict[str, str]:
+    """Return what a summary tells about the settings of its run, in words, by name."""
+    forecast = about.get("forecast")
+    if isinstance(forecast, dict):
+        forecast = " ".join(str(value) for value in forecast.values() if value is not None)
+    values = about.get("parameters", {}) | about.get("sensor_and_pump", {}) | {
+        "forecast": forecast, **{name: about.get(name) for name in ("site", "weather", *CLIMATE)},
+    }
+    return {"controller": about.get("controller", "")} | {
+        name: f"{name.replace('_', ' ')} {value}" for name, value in values.items()
+        if value is not None
+    }
 
 
 def _read_study(path: Path, prefix: str, sources: Sources) -> None:
@@ -210,7 +229,7 @@ def read_run(path: Path, site: Path | Site | None = None) -> ReportedRun:
         if site is None and not own.is_file():
             notes.append("there is no site file beside the bag: the paper's site, and UTC, assumed")
         file = site or (own if own.is_file() else default_site_file())
-        site, name = read_site(file), file.name
+        site, name = read_site(file), Path(about.get("site", file) if file == own else file).name
     zone = timezone.utc if notes else site.zone
     results, unknown, trajectory = summary_columns(about), frozenset[str](), None
     start = datetime.fromisoformat(about.get("start", "1970-01-01"))

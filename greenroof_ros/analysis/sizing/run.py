@@ -204,10 +204,6 @@ def _simulate(
 def _remark(rows: polars.DataFrame, volume: float, compared: Sequence[float]) -> list[str]:
     """Return remarks on the recommended cistern (m3), and on what is unusual in its results."""
     remarks = [
-        "One season is too few for a recommendation: what the cistern holds at its start counts as "
-        "much as the rain.",
-    ] if len(rows) == 1 else []
-    remarks += [
         f"The recommended cistern is the {size} of those compared: {other} cisterns are worth "
         "trying." for size, other, end in (
             ("smallest", "smaller", compared[0]), ("largest", "larger", compared[-1]),

@@ -18,6 +18,7 @@ from greenroof_ros.analysis.seasons import find_ranges
 from greenroof_ros.analysis.sizing import designs as plans
 from greenroof_ros.analysis.sizing.designs import KEPT, LOST, SHOWN, TABLE, Design
 from greenroof_ros.analysis.tables import Table, tabulate_peaks, write_range
+from greenroof_ros.controllers.outlet import PLAN
 from greenroof_ros.site.site import Site
 
 _TITLE = "Which cistern for the green roof?"
@@ -26,7 +27,7 @@ _OF_TARGETS = (*plans.MAIN, LOST, "stress_hours")
 _COMPARED = ("wet_discharge_m3", "discharge_m3", "retention_share", "overflow_days")
 # The peaks that are shown (min).
 _PEAK_MIN = 5
-_HEADINGS = {"volume_m3": "cistern (m³)", "target_mm": "target (mm)"}
+_VARIED = {"volume_m3": "cistern (m³)", "target_mm": "target (mm)", "outlet": "outlet"}
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -87,27 +88,18 @@ class Sizes:
             f"{text['demand_met_share']} % of {uses} is rain, {text['mains_m3']} m³ is "
             "mains water, and "
         )
-        kept = "" if row[KEPT] is None else (
-            f", {text[KEPT]} % less than the rain on the roofs"
+        kept = "" if row[KEPT] is None else f", {text[KEPT]} % less than the rain on the roofs"
+        few = "" if len(self.seasons) > 1 else (
+            "One season is too few for a recommendation: what the cistern holds at its start "
+            "counts as much as the rain. "
         )
         return (
-            f"A cistern of {own.volume_m3:g} m³ ({own.described_outlet}) and a target of "
+            f"{few}A cistern of {own.volume_m3:g} m³ ({own.described_outlet}) and a target of "
             f"{own.target_mm:g} mm of water on the roof are recommended. In a season, {watered}"
             f"{text['wet_discharge_m3']} m³ reaches the sewer in wet weather{kept}. In all "
             f"weather, {text['discharge_m3']} m³ reaches the sewer, a retention of "
-            f"{text['retention_share']} %.{self._compare()}"
+            f"{text['retention_share']} %."
         )
-
-    def _compare(self) -> str:
-        """Return what the recommended cistern does without its valve; empty without a valve."""
-        own = self.recommended._replace(outlet=plans.NONE)
-        plain = self.table.filter(**own._asdict()).to_dicts()
-        if not plain or own == self.recommended:
-            return ""
-        mains, wet = (
-            write_range(plain[0], name, SHOWN[name]) for name in ("mains_m3", "wet_discharge_m3")
-        )
-        return f" Without the valve, {mains} m³ would be mains water, and {wet} m³ wet discharge."
 
     def plot(self) -> alt.ConcatChart:
         """Return a chart of the results against the cistern's volume, with a line per outlet.
@@ -145,14 +137,16 @@ def list_sections(sizes: Sizes, figures: Sequence[Figure]) -> list[Section]:
     most = plans.MAX_LOST
     losing = f"at most {100 * most:g} %" if lost <= most else "the smallest part"
     first, *others = tabulate_volumes(sizes)
+    outlets, remarks = describe_outlets(sizes)
+    ranges = ", with the lowest and the highest season in brackets" * (len(sizes.seasons) > 1)
     return [
         Section("The recommendation", [
             f"The green roof covers {site.a2:g} m². Another {site.a_in:g} m² of roofs drain to the "
             f"cistern, which receives {100 * site.runoff_coefficient:g} % of the rain on them. In "
             f"a season, {1000 * on_roof / site.a2:.0f} mm of rain falls, {rain:.3g} m³ on all of "
             f"these roofs. Numbers are means of the seasons ({sizes.window}, "
-            f"{', '.join(sizes.seasons)}), with the lowest and the highest season in brackets; "
-            "percentages are means of the seasons' percentages.",
+            f"{', '.join(sizes.seasons)}){ranges}; percentages are means of the seasons' "
+            "percentages.",
             f"Beyond a cistern of {own.volume_m3:g} m³ ({1000 * own.volume_m3 / site.a2:.0f} L per "
             f"m² of green roof), another m³ saves less than {sizes.knee_m3:g} m³ of mains water "
             f"and wet-weather discharge a season. Of the targets compared, {own.target_mm:g} mm is "
@@ -161,10 +155,10 @@ def list_sections(sizes: Sizes, figures: Sequence[Figure]) -> list[Section]:
             f"Wet weather is the time of rain and the {site.wet_after:g} h after it. Water that "
             "the valve releases in dry weather reaches the same sewer: it counts in the discharge "
             "and in the retention, but not in the discharge in wet weather.",
-            first,
+            *outlets, *remarks, first,
         ]),
         Section("Compared with no green roof", [
-            _tabulate_references(sizes), _tabulate_peaks(sizes),
+            _tabulate_references(sizes), *[_tabulate_peaks(sizes)] * bool(ranges),
         ]),
         Section("Pictures", figures),
         Section("What it rests on", [
@@ -179,8 +173,8 @@ def list_sections(sizes: Sizes, figures: Sequence[Figure]) -> list[Section]:
         Section("What was read", [sizes.read]),
         Section("How it was made", [
             "Every design was simulated in every season. First, targets were compared with one "
-            f"cistern, and then cisterns with the best target. {TABLE} contains every design and "
-            "season.",
+            f"cistern, and then cisterns with the best target. {plans.TABLE} contains every design "
+            "and season.",
         ]),
     ]
 
@@ -189,6 +183,26 @@ def _select_targets(sizes: Sizes) -> polars.DataFrame:
     """Return the means and ranges of the designs that compare targets, by target."""
     volume, outlet = sizes.table.select("volume_m3", "outlet").row(0)
     return sizes.table.filter(volume_m3=volume, outlet=outlet).sort("target_mm")
+
+
+def describe_outlets(sizes: Sizes) -> tuple[list[Table], list[str]]:
+    """Return tables of several outlets, and remarks: that ``plan`` has no effect, if so.
+
+    The first one is for the compared volume that is nearest to that of the site's own cistern, and
+    the second one for the recommended volume.
+    """
+    own = plans.find_volume(sizes.site)
+    rows = sizes.table.filter(target_mm=sizes.recommended.target_mm).sort("outlet")
+    nearest = min(rows["volume_m3"], key=lambda volume: abs(volume - own))
+    tables = [
+        _tabulate(sizes, f"Outlets, cistern {each:g} m³", "outlet", rows.filter(volume_m3=each))
+        for each in dict.fromkeys([nearest, sizes.recommended.volume_m3])
+    ]
+    results = {outlet: values for outlet, *values in tables[0].rows}
+    return tables * (len(results) > 1), (results.get(plans.NONE, 0) == results.get(PLAN)) * [
+        f"With {nearest:g} m³, plan equals none: without a forecast, it keeps 20 days of demand, "
+        "more than the cistern holds. With one (greenroof simulate --outlet plan), it makes room."
+    ]
 
 
 def tabulate_volumes(sizes: Sizes) -> list[Table]:
@@ -207,13 +221,13 @@ def _tabulate(
     sizes: Sizes, caption: str, varied: str, table: polars.DataFrame,
     names: Sequence[str] = plans.MAIN,
 ) -> Table:
-    """Return the table of designs that differ in a column, ``volume_m3`` or ``target_mm``."""
+    """Return the table of designs that differ in a column of :data:`_VARIED`."""
     shown = {name: SHOWN[name] for name in names}
     rows = table.to_dicts()
     own = getattr(sizes.recommended, varied)
     return Table(
-        caption, [_HEADINGS[varied], *shown.values()],
-        [[f"{row[varied]:g}", *(write_range(row, *each) for each in shown.items())]
+        caption, [_VARIED[varied], *shown.values()],
+        [[f"{row[varied]}".removesuffix(".0"), *(write_range(row, *each) for each in shown.items())]
          for row in rows],
         frozenset(place for place, row in enumerate(rows) if row[varied] == own),
     )
@@ -286,7 +300,7 @@ def _draw(
 ) -> Figure:
     """Return a figure with a panel for each result."""
     x = alt.X(
-        f"{varied}:Q", title=_HEADINGS[varied],
+        f"{varied}:Q", title=_VARIED[varied],
         axis=alt.Axis(values=sorted({*table[varied]}), format="~g", labelOverlap=True),
         scale=alt.Scale(type=scale, nice=False, zero=False),
     )

@@ -5,8 +5,10 @@ from __future__ import annotations
 import math
 import shutil
 import struct
+from collections import Counter
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -16,7 +18,7 @@ from inputs import NAMES, START, figures_of, report_of, simulate, study_of, writ
 from paper import PAPER_SITE
 from places import CONFIG
 
-from greenroof_ros.analysis.figures import Figure
+from greenroof_ros.analysis.figures import COLOURS, Figure
 from greenroof_ros.analysis.report.figures import (
     MAX_POINTS,
     draw_over_time,
@@ -100,6 +102,22 @@ def test_a_study_shows_what_it_asks(tmp_path: Path) -> None:
     assert names == ["worse", "closed", "drain"]
 
 
+def test_water_stress_is_shown_where_it_differs(tmp_path: Path) -> None:
+    """A case that lets the plants dry out does not win without a word about it."""
+    dry = rows("dry", None, {2020: 1.0}, stress_hours=3155.0, rain_roof_m3=6.88)
+    wet = rows("wet", None, {2020: 2.0}, stress_hours=0.0)
+    report = study_of(tmp_path / "study", *wet, *dry)
+    assert answer(report) == (  # 6.88 m3 on the 68.8 m2 of the paper's roof
+        "Best by total deviation: dry. For dry: total deviation 1 m³; water stress 3155 h. "
+        "For wet: total deviation 2 m³; water stress 0 h. Site: site.yaml; period: May; "
+        "seasons: 2020 to 2020; "
+        "rain on the roof: 100 mm."
+    )
+    assert [texts[2] for texts in make_table(report, _columns(report)).texts()[:2]] == ["3155", "0"]
+    alike = study_of(tmp_path / "alike", *wet, *rows("dry", None, {2020: 1.0}, stress_hours=0.0))
+    assert "water stress" not in answer(alike)
+
+
 def test_the_command(tmp_path: Path) -> None:
     """A page, each figure twice, the runs without results; a previous report is replaced."""
     example = simulate("onoff", "2", "low-low", "0.01")
@@ -139,6 +157,24 @@ def test_runs_of_any_values(tmp_path: Path, values: list[float]) -> None:
     flows = any(value > 0 for value in values[:-1])  # the last one never held
     # What reaches the sewer, and the opening of the valve.
     assert len(overlay_simulations(runs).vconcat) == 4 + 2 * flows
+
+
+@pytest.mark.parametrize("names", [["onoff"], ["onoff", "mpc"]])
+def test_every_run_has_a_visible_line(tmp_path: Path, names: list[str]) -> None:
+    """Each line has a colour in the drawing, also that of a single run, and none is shared."""
+    trajectory = Trajectory(start=START, **{
+        **{name: np.array([1.0, 2.0, 3.0]) for name in NAMES}, "time": np.arange(3.0),
+    })
+    runs = dict.fromkeys(names, (PAPER_SITE, trajectory))
+    Figure("time", "", "", tuple(draw_over_time(runs)), 2).save(tmp_path)
+    overlay_simulations(runs).save(tmp_path / "chart.svg")
+    for file in tmp_path.glob("*.svg"):
+        groups = [each for each in ElementTree.parse(file).iter() if (
+            each.get("class", "").startswith("mark-line")
+        )]
+        _, *strokes = (path.get("stroke") for group in groups for path in group)  # first the rain's
+        # In roof, cistern, pump, sewer and valve.
+        assert Counter(strokes) == dict.fromkeys(COLOURS[: len(names)], 5), file
 
 
 def test_thinning_keeps_extremes() -> None:

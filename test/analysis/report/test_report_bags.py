@@ -29,6 +29,7 @@ from inputs import (
 from places import CONFIG, refusal
 from rosbags.rosbag2 import StoragePlugin
 
+import greenroof_ros as gr
 from greenroof_ros.analysis.report.page import make_notes, render
 from greenroof_ros.analysis.report.runs import TOTAL, find_runs, read_run
 from greenroof_ros.commands.recover import recover
@@ -233,7 +234,24 @@ def test_results_of_a_run_that_is_done_are_its_own(tmp_path: Path) -> None:
     for words in ("less water than was demanded", "no solution", "rain was moved", "2 changes"):
         assert words in notes
     assert (run.row["site"], run.row["initial"]) == ("site.yaml", "low-low")
-    assert "controller onoff, fraction 2.0" in report.sources.read[0]
+    assert "onoff, fraction 2.0" in report.sources.read[0]
+
+
+def test_names_state_what_differs(tmp_path: Path) -> None:
+    """Runs with summaries are named by controller and settings, whatever their directories."""
+    runs = [
+        gr.simulate(name, site=CONFIG / "site_valve.yaml", hours=0.1, **given)
+        for name, given in (("onoff", {"outlet": "drain"}), ("onoff", {"outlet": "plan"}),
+                            ("mpc", {}))
+    ]
+    paths = [run.save(tmp_path / f"{number}") for number, run in enumerate(runs)]
+    assert [run.row["case"] for run in find_runs(paths).runs] == [
+        "onoff, outlet drain", "onoff, outlet plan", "mpc",
+    ]
+    assert find_runs(paths[:1]).runs[0].row["case"] == "0"  # nothing differs
+    (again,) = (run.save(tmp_path / "again") for run in runs[:1])
+    names = [run.row["case"] for run in find_runs([paths[0], again]).runs]
+    assert names == ["0", "again"]
 
 
 def test_what_the_plant_refuses_acts_as_zero(tmp_path: Path) -> None:

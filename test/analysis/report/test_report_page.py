@@ -38,4 +38,7 @@ def test_pages_are_readable_at_any_width(tmp_path: Path) -> None:
                 page.set_viewport_size({"width": width, "height": 900})
                 page.wait_for_function(f"{WIDEST} <= {width}")
         assert page.locator("td", has_text="SIGKILL").first.is_visible()
+        for scheme, back in (("dark", "rgb(20, 24, 26)"), ("light", "rgb(255, 255, 255)")):
+            page.emulate_media(color_scheme=scheme)
+            assert page.evaluate("getComputedStyle(document.body).backgroundColor") == back
     assert {url.partition(":")[0] for url in asked} <= {"file", "data"}

@@ -16,7 +16,7 @@ from places import CONFIG, DATA, Once
 
 import greenroof_ros as gr
 from greenroof_ros.analysis.sizing.designs import BY_DESIGN, Design, build
-from greenroof_ros.analysis.sizing.sizes import Sizes
+from greenroof_ros.analysis.sizing.sizes import Sizes, describe_outlets
 from greenroof_ros.analysis.tables import tabulate_peaks
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.site.file import read_site
@@ -153,7 +153,7 @@ def test_the_page_in_a_browser(sized: Path, tmp_path: Path) -> None:
     """It has what a council asks for, fits a phone, and prints on A4."""
     with drawn_page(sized / "out" / "sizes.html") as page:
         assert page.inner_text("#answer").startswith("A cistern of ")
-        assert page.locator("tr.marked").count() == 5  # one of each table
+        assert page.locator("tr.marked").count() == 7  # one of each table
         for width in (400, 1280):
             page.set_viewport_size({"width": width, "height": 900})
             page.wait_for_function(f"document.documentElement.scrollWidth <= {width}")
@@ -197,6 +197,31 @@ def test_chart_and_page_of_python(sizes: Sizes, tmp_path: Path) -> None:
     sizes.plot().save(tmp_path / "chart.svg")
     assert "mains water used" in (tmp_path / "chart.svg").read_text()
     assert sizes.sentence in sizes.save(tmp_path / "out").read_text()
+
+
+def test_outlets_at_the_sites_own_volume(sizes: Sizes) -> None:
+    """One row each, with the results of the designs; a plan that never acts is explained.
+
+    The need of 20 days at 39 mm on 68.8 m2, some 5 m3 at 4 mm a day, fits no cistern of 2 m3.
+    """
+    (table, *_), _ = describe_outlets(sizes)
+    assert "cistern 10 m³" in table.caption  # the site's own
+    target = sizes.recommended.target_mm
+    for outlet, mains, *_ in table.texts():
+        designed = sizes.table.filter(volume_m3=10, target_mm=target, outlet=outlet)
+        assert mains.startswith(f"{designed['mains_m3'][0]:.3g}")
+    assert [outlet for outlet, *_ in table.texts()] == ["drain", "none", "plan"]
+    small = gr.size(**{**OPTIONS, "volumes": [2], "targets": [39], "season": "07-07/07-08"})
+    _, (remark,) = describe_outlets(small)
+    assert remark.startswith("With 2 m³, plan equals none: without a forecast")
+
+
+def test_one_season_is_too_few(tmp_path: Path) -> None:
+    """The page says so first, and has neither brackets nor return periods."""
+    one = gr.size(**{**OPTIONS, "weather": JULIES[:1], "outlets": ["none"]})
+    assert one.sentence.startswith("One season is too few for a recommendation")
+    text = one.save(tmp_path / "out").read_text()
+    assert "in brackets" not in text and "eturn period" not in text
 
 
 def test_a_season_without_rain_or_irrigation() -> None:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 import shutil
 import signal
+import subprocess
+import sys
 import tempfile
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -43,6 +45,20 @@ def children(process: int) -> Iterator[int]:
     for child in under:
         yield child
         yield from children(child)
+
+
+def test_a_script_without_its_guard(tmp_path: Path) -> None:
+    """Workers import the script, which starts workers itself: the error names the guard."""
+    script = tmp_path / "script.py"
+    script.write_text(
+        "import greenroof_ros as gr\ngr.study({'controller': 'mpc', 'hours': 0.01}, jobs=1)\n"
+    )
+    ended = subprocess.run(
+        [sys.executable, script], capture_output=True, text=True, cwd=tmp_path, timeout=100,
+        check=False,
+    )
+    assert ended.returncode == 1
+    assert "if __name__ == '__main__':" in ended.stderr.splitlines()[-1]
 
 
 def processor_s(process: int) -> float:
