@@ -218,11 +218,14 @@ class GraphNode(Node):
     ) -> None:
         """Pass every serialised message of a topic to a callback, and store an error raised by it.
 
-        A malformed message is dropped, since any program may publish on the topic.
+        A malformed message is dropped, since any program may publish on the topic, and so are all
+        messages after an error: if each of them failed again, the executor might never return.
         """
 
         def guarded(message: bytes) -> None:
             """Store an error until the run ends; the executor would print it with a traceback."""
+            if self.failure is not None:
+                return
             try:
                 with suppress(MalformedMessageError):
                     callback(message)

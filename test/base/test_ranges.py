@@ -11,10 +11,10 @@ from typing import Any, NamedTuple, get_args, get_origin
 
 import pytest
 import yaml
-from districts import DISTRICT
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from places import CONFIG, refusal
+from studies import DISTRICT
 
 from greenroof_ros.analysis.district.file import District, read_district
 from greenroof_ros.base.errors import ConfigurationError
