@@ -16,6 +16,9 @@ from places import CHECKOUT
 
 pytest.importorskip("rclpy", reason="the graph needs ROS 2")
 
+from ros_rig import Observer
+from std_msgs.msg import Float64
+
 # On a starved machine its command may be 3 s late; the flow would then be 0, in one of the bags.
 DRIVER = (CHECKOUT / "examples" / "pump_driver.py").read_text().replace(
     "SILENCE = 3.0", "SILENCE = 300.0"
@@ -109,3 +112,27 @@ def test_bad_commands_act_as_zero_and_a_second_one_ends_the_run(
         messages = messages_of(tmp_path / "run")[topic]
         flows = [struct.unpack("<d", message[4:12])[0] for message in messages]
         assert flows[4:8] == [0.0] * 4 and min(flows[:4] + flows[8:20]) > 0, topic
+
+
+def test_a_node_that_publishes_into_a_run_ends_it_soon(
+    domain: int, tmp_path: Path, observer: Observer
+) -> None:
+    """With its name and a closed bag, although its messages come faster than they are refused."""
+    levels = observer.collect("/roof/level")
+    process = Process(
+        domain, "bringup", "--controller", "onoff", "--speed", "50", "--output", "run",
+        cwd=tmp_path,
+    )
+    observer.until(lambda: len(levels) > 20, 60, "20 ticks")
+    publisher = observer.publisher("/pump/command")
+
+    def publish() -> bool:
+        publisher.publish(Float64(data=0.1))
+        return process.process.poll() is not None
+
+    observer.until(publish, 60, "the end of the run")
+    assert process.process.returncode == 1
+    summary = summary_of(tmp_path / "run")
+    assert summary["status"] == "failed" and "observer" in summary["reason"]
+    assert summary["reason"] in process.stderr()
+    assert (tmp_path / "run" / "bag" / "metadata.yaml").exists()
