@@ -30,11 +30,11 @@ import numpy as np
 from greenroof_ros.base.command_line import Parser, add_site, command, refuse_unwritable
 from greenroof_ros.base.console import PlainConsole
 from greenroof_ros.base.errors import ConfigurationError
-from greenroof_ros.base.files import add_path_to_errors
+from greenroof_ros.base.files import add_path_to_errors, default_site_file
 from greenroof_ros.base.times import to_people
 from greenroof_ros.simulation.screen import grid
 from greenroof_ros.site.file import read_site
-from greenroof_ros.site.site import Site, format_place
+from greenroof_ros.site.site import Place, Site, format_place
 from greenroof_ros.weather.describe import describe
 from greenroof_ros.weather.evapotranspiration import FAO56, HARGREAVES
 from greenroof_ros.weather.read import complete_records, find_files, read_measured
@@ -80,7 +80,8 @@ def main() -> None:
     # A file for another place is described, too; a run rejects it, or warns.
     anywhere = replace(site, latitude=None, longitude=None, elevation=None)
     measured = read_measured(files, anywhere)
-    show_records(measured, site)
+    # No place is known without a site file, so the file's clock counts.
+    show_records(measured, site, Place() if arguments.site == default_site_file() else site)
     if output is not None:
         about = "\n".join((*measured.applied, "Written by greenroof weather."))
         with add_path_to_errors(output):
@@ -88,12 +89,12 @@ def main() -> None:
         PlainConsole().print(f"written: {output}", soft_wrap=True)
 
 
-def show_records(measured: Records, site: Site) -> None:
-    """Print a table of what a weather record contains."""
-    PlainConsole().print(grid("Weather", _describe(measured, site)))
+def show_records(measured: Records, site: Site, clock: Place) -> None:
+    """Print a table of what a weather record contains, at a site, with sums on a clock."""
+    PlainConsole().print(grid("Weather", _describe(measured, site, clock)))
 
 
-def _describe(measured: Records, site: Site) -> Iterator[tuple[str, str, str]]:
+def _describe(measured: Records, site: Site, clock: Place) -> Iterator[tuple[str, str, str]]:
     """Yield rows: a label, a value and a description."""
     try:
         weather, unknown = complete_records(measured, site), ""
@@ -110,7 +111,7 @@ def _describe(measured: Records, site: Site) -> Iterator[tuple[str, str, str]]:
         yield "rain", "1 h late", "each time is the end of an hour; a run treats it as the start"
     if measured.rain_kind:
         yield "rain", measured.rain_kind, measured.rain_note
-    for line in as_lines(summarize(measured, site)):
+    for line in as_lines(summarize(measured, clock)):
         yield "summary", "", line
     for name, series in measured.values.items():
         missing = np.isnan(series)

@@ -22,7 +22,7 @@ from greenroof_ros.base.files import read_lines
 from greenroof_ros.base.parameter import parameters_of
 from greenroof_ros.base.ranges import read_number
 from greenroof_ros.base.text import escape
-from greenroof_ros.weather.description import SEPARATORS, TIME, Description
+from greenroof_ros.weather.description import LONG, SEPARATORS, TIME, Description
 from greenroof_ros.weather.quantities import PRECIPITATION, QUANTITIES, Unit, find_unit
 from greenroof_ros.weather.table import parse_text, split, split_unit
 
@@ -32,12 +32,15 @@ _ENCODINGS = "utf-8", "cp1252"
 # Lines after the rows that can contain sums and remarks.
 _FOOT = 4
 _HIGHEST = 1e4  # of any quantity in our unit
-_DATES = "%d.%m.%Y", "%d.%m.%y", "%d/%m/%Y", "%m/%d/%Y", "%d/%m/%y", "%m/%d/%y", "%Y/%m/%d"
+_DATES = (
+    "%d.%m.%Y", "%d.%m.%y", "%d/%m/%Y", "%m/%d/%Y", "%d/%m/%y", "%m/%d/%y", "%Y/%m/%d", "%d-%m-%Y",
+    "%d-%b-%Y",
+)
 _CLOCKS = "%H:%M", "%H:%M:%S", "%I:%M %p", "%I:%M:%S %p", "%I:%M%p", "%Hh%M", "%H.%M"
 _FORMS = (
-    "", *map(" ".join, itertools.product((*_DATES, "%d-%m-%Y", "%d-%b-%Y"), _CLOCKS)), "%Y%m%d%H%M",
-    "%Y-%m-%d %Hh%M", "%Y-%m-%d %H.%M", "%Y%m%d%H", "%Y%m%d %H%M", "%Y%m%d %H:%M", "%Y%m%d %H",
-    "%Y %m %d %H", "%Y %m %d %H %M",
+    "", *_DATES, "%Y%m%d", "%Y %m %d", *map(" ".join, itertools.product(_DATES, _CLOCKS)),
+    "%Y-%m-%d %Hh%M", "%Y-%m-%d %H.%M", "%Y%m%d%H", "%Y%m%d%H%M", "%Y%m%d %H%M", "%Y%m%d %H:%M",
+    "%Y%m%d %H", "%Y %m %d %H", "%Y %m %d %H %M",
 )
 # Words in the names of columns, in lower case, and words of columns that are something else.
 _WORDS = {
@@ -77,6 +80,9 @@ def describe(file: Path) -> str:
     encoding, lines = _read(file)
     separator, cells, header, first, last, time, forms = _find_rows(file, lines)
     rows = [row for row in cells[first : last + 1] if any(row)]
+    times = [parse_text(" ".join(row[n] for n in time), forms[0]) for row in rows]
+    if len(rows) > 1 and len({each.time() for each in times}) == 1:
+        raise ConfigurationError(f"has a row for each day, but {LONG}", file=file)
     full = names = [" ".join(name.split()) for name in cells[header]]
     counts = Counter(names)
     if header and any(counts[name] > 1 for name in counts if name):  # in two lines
@@ -106,7 +112,7 @@ def describe(file: Path) -> str:
         "file": file.name,
         "columns": {name: each if len(each) > 1 else each[0] for name, each in columns.items()},
         "time_format": forms[0] if len(forms) == 1 else _UNKNOWN,
-        **_find_zone(head, parse_text(" ".join(rows[0][n] for n in time), forms[0])),
+        **_find_zone(head, times[0]),
         "rows": _UNKNOWN, "units": units,
         "na_values": missing[:10] if all(map(_CODE.fullmatch, missing)) else _UNKNOWN,
         "encoding": encoding, "sep": separator, "decimal": "," if comma else ".",
@@ -155,7 +161,7 @@ def _find_rows(
         cells = [split(line, SEPARATORS[separator]) or [line] for line in lines]
         filled = [n for n, row in enumerate(cells) if any(row)]
         feet = range(min(_FOOT + 1, len(filled)))
-        for foot, begin, count in itertools.product(feet, range(8), (4, 2, 1)):
+        for foot, begin, count in itertools.product(feet, range(8), (1, 2, 3, 4)):
             time = tuple(range(begin, begin + count))
             rows, forms = _find_times(cells, filled[: len(filled) - foot], time)
             # A date alone is the same in many rows; an hour can occur twice in autumn.

@@ -305,8 +305,8 @@ def _check_hours(weather: Weather, hours: NDArray[np.int64]) -> None:
     way_out = "choose another period, or add values from another station"
     if weather.gaps == REFUSE:
         way_out += (
-            "; or fill the gaps (gaps: fill), which sets missing rain to 0, and other missing "
-            "values to the mean at the same time of day on the three days before and after"
+            "; or fill the gaps (--gaps fill, gaps: fill), which sets missing rain to 0, and other "
+            "missing values to the mean at the same time of day on the three days before and after"
         )
     unknown = hours[np.isnan(weather.evapotranspiration[hours])]
     sources = FOR_EVAPOTRANSPIRATION if weather.method == FAO56 else ()
@@ -339,6 +339,7 @@ def select_records(weather: Weather, quantity: str, hours: NDArray[np.intp]) -> 
     index = np.clip(hours, 0, weather.hours - 1)
     _refuse_missing(
         weather, quantity, index,
-        "a forecast in the run needs it; fill the gaps (gaps: fill), or choose another period",
+        "a forecast in the run needs it; fill the gaps (--gaps fill, gaps: fill), or choose "
+        "another period",
     )
     return weather.values[quantity][index]
