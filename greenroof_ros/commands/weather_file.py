@@ -34,16 +34,13 @@ from greenroof_ros.base.files import add_path_to_errors, default_site_file
 from greenroof_ros.base.times import to_people
 from greenroof_ros.simulation.screen import grid
 from greenroof_ros.site.file import read_site
-from greenroof_ros.site.site import Place, Site, format_place
+from greenroof_ros.site.site import Place, Site
 from greenroof_ros.weather.describe import describe
 from greenroof_ros.weather.evapotranspiration import FAO56, HARGREAVES
 from greenroof_ros.weather.read import complete_records, find_files, read_measured
-from greenroof_ros.weather.records import HOUR, Records, name_hours, write_records
+from greenroof_ros.weather.records import HOUR, Records, write_records
 from greenroof_ros.weather.series import Weather
 from greenroof_ros.weather.summary import as_lines, summarize
-
-# Gaps that are named.
-_MAX_NAMED = 3
 
 
 def make_parser() -> Parser:
@@ -102,9 +99,6 @@ def _describe(measured: Records, site: Site, clock: Place) -> Iterator[tuple[str
         weather, unknown = complete_records(measured, site, method=""), str(error)
     for text in measured.left_out:
         yield "left out", "", text
-    own = format_place(site.latitude, site.longitude)
-    for place in dict.fromkeys(measured.places.values()):
-        yield "place", format_place(*place), f"the site is at {own}"
     last = measured.first + (measured.hours - 1) * HOUR
     yield "hours", str(measured.hours), f"{to_people(measured.first)} to {to_people(last)}"
     if measured.rain_late:
@@ -113,11 +107,6 @@ def _describe(measured: Records, site: Site, clock: Place) -> Iterator[tuple[str
         yield "rain", measured.rain_kind, measured.rain_note
     for line in as_lines(summarize(measured, clock)):
         yield "summary", "", line
-    for name, series in measured.values.items():
-        missing = np.isnan(series)
-        if spans := name_hours(measured.first, missing):
-            more = ", ..." * (len(spans) > _MAX_NAMED)
-            yield f"no {name}", f"{missing.sum()} h", ", ".join(spans[:_MAX_NAMED]) + more
     known = weather.evapotranspiration[~np.isnan(weather.evapotranspiration)]
     if known.size:
         lost = f", unknown in {weather.hours - known.size} hours" * (known.size < weather.hours)

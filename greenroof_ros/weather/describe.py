@@ -7,12 +7,10 @@ question mark stands where a person must decide. Reading uses none of this.
 from __future__ import annotations
 
 import itertools
-import math
 import re
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
-from datetime import datetime
 from pathlib import Path
 
 import yaml
@@ -63,7 +61,6 @@ _OTHER = (
 # A code of missing values is a number, or a text without digits, but not the T of a trace of rain.
 _CODE = re.compile(r"[-+]?\d*([.,]\d+)?|(?!t$|tr$|trace$)\D*", re.IGNORECASE)
 _COMMA = re.compile(r"[-+]?\d*,\d+")
-_ZONE = re.compile(r"\b(?:UTC|GMT)(?: ?([+-]\d{1,2})(?::?(\d\d))?)?\b")
 _UNKNOWN = "?"
 
 
@@ -106,14 +103,12 @@ def describe(file: Path) -> str:
     missing = [*dict.fromkeys(missing)]
     if two_rains or PRECIPITATION not in columns:
         columns[PRECIPITATION] = [_UNKNOWN]
-    head = " ".join(itertools.chain(names, *cells[:header]))
     used, skipped = {*itertools.chain(*columns.values())}, {*range(first)} - {header}
     stated = {
         "file": file.name,
         "columns": {name: each if len(each) > 1 else each[0] for name, each in columns.items()},
         "time_format": forms[0] if len(forms) == 1 else _UNKNOWN,
-        **_find_zone(head, times[0]),
-        "rows": _UNKNOWN, "units": units,
+        "time_zone": "" if times[0].tzinfo else _UNKNOWN, "rows": _UNKNOWN, "units": units,
         "na_values": missing[:10] if all(map(_CODE.fullmatch, missing)) else _UNKNOWN,
         "encoding": encoding, "sep": separator, "decimal": "," if comma else ".",
         "skiprows": len(skipped) if skipped == {*range(len(skipped))} else sorted(skipped),
@@ -231,16 +226,3 @@ def _is_value(quantity: str, unit: Unit, text: str) -> bool:
         value = (read_number(text) - unit.zero) / unit.per_ours
         return QUANTITIES[quantity].low <= value <= _HIGHEST
     return False
-
-
-def _find_zone(head: str, time: datetime) -> dict[str, float | str]:
-    """Return the key of the zone, unless the times contain their offset."""
-    if time.tzinfo is not None:
-        return {}
-    zones = {*_ZONE.findall(head)}
-    if len(zones) != 1:
-        return {"time_zone": _UNKNOWN}
-    hours, minutes = zones.pop()
-    if not hours:
-        return {"time_zone": "UTC"}
-    return {"utc_offset": float(hours) + math.copysign(int(minutes or 0) / 60, float(hours))}

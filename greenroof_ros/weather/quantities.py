@@ -122,16 +122,14 @@ def find_unit(quantity: str, name: str, step_h: float, area: float) -> Unit:
         ValueError: if the quantity does not have such a unit; the message names those that it has.
     """
     factor, plain = _simplify(name.removeprefix(COUNTER))
-    is_total = name.startswith(COUNTER)
     our_hours = _HOURS.get(QUANTITIES[quantity].unit.rpartition("/")[2], 1.0)
     for kind in QUANTITIES[quantity].kinds:
         units, hours = _UNITS[kind], {"": 1.0}
         if kind in _AMOUNTS:
-            hours = {"": step_h} if is_total else {**_HOURS, "": step_h}
-        elif is_total:
-            continue
+            hours = {**_HOURS, "": step_h}
         unit, _, time = (plain, "", "") if plain in units else plain.rpartition("/")
-        if unit in units and time in hours:
+        is_known = unit in units and time in hours
+        if is_known and (not name.startswith(COUNTER) or (kind in _AMOUNTS and not time)):
             per_ours = units[unit] * (area if kind == "volume" else 1.0) * hours[time] / our_hours
             return Unit(name, per_ours / factor, _ZEROS.get(unit, 0.0) / factor)
     raise ValueError(f"the unit of {quantity} must be one of {', '.join(known_units(quantity))}")

@@ -339,7 +339,6 @@ def select_records(weather: Weather, quantity: str, hours: NDArray[np.intp]) -> 
     index = np.clip(hours, 0, weather.hours - 1)
     _refuse_missing(
         weather, quantity, index,
-        "a forecast in the run needs it; fill the gaps (--gaps fill, gaps: fill), or choose "
-        "another period",
+        "a forecast needs it; fill the gaps (--gaps fill, gaps: fill), or choose another period",
     )
     return weather.values[quantity][index]

@@ -479,8 +479,8 @@ def _take_differences(
     little = np.flatnonzero(falls & (totals > _LITTLE * before))
     if little.size:
         raise table.refuse(
-            f"is less than the previous total, {before[little[0]]:g}, but a counter falls only if "
-            "it begins again at 0", column, table.find_row(lines[little[0]]),
+            "must not be a little less than the previous total: a counter falls only to begin at 0",
+            column, table.find_row(lines[little[0]]),
         )
     amounts = np.where(falls, totals, totals - before)
     amounts[1:][np.diff(steps) > 1] = math.nan
@@ -498,15 +498,13 @@ def _refuse_total(table: Table, column: str, depths: Values, days: NDArray[np.in
         days: day of every row, from 0.
     """
     sums, changes = np.bincount(days, np.nan_to_num(depths)), np.diff(depths)
-    rises, falls = (np.count_nonzero(each) for each in (changes > 0, changes < 0))
     most = max(sums.max(), sums.sum() / len(sums) ** _POWER)
     # A single row can be a code of a missing value.
-    if 2 * falls <= rises and most - np.nanmax(depths, initial=0.0) > _RECORD:
+    seldom_falls = 2 * np.count_nonzero(changes < 0) <= np.count_nonzero(changes > 0)
+    if seldom_falls and most - np.nanmax(depths, initial=0.0) > _RECORD:
         raise table.refuse(
-            f"looks like a running total: as the rain of each row, it would be {sums.sum():.0f} mm "
-            f"in {len(sums)} days. State its unit as '{quantities.COUNTER}mm', or whatever unit it "
-            "has, in the header or in units of a description; its differences are then the rain",
-            column,
+            f"looks like a running total (as rain, {sums.sum():.0f} mm in {len(sums)} days): state "
+            f"its unit in the header or in units, as in '{quantities.COUNTER}mm'", column,
         )
 
 
@@ -626,28 +624,23 @@ def _number_steps(
     apart = np.diff(local)
     middle = float(np.median(apart)) if apart.size else _HOUR_S
     irregular = (abs(apart - middle) > _OFF * middle).sum() > apart.size / 2
-    step_s = stated or middle
-    if stated is None:
-        step_s = 60.0 * round(middle / 60)
-        agreed = len(apart) > 1 and np.ptp(apart) == 0
-        if agreed or abs(step_s - middle) > _CLOCK * middle:
-            step_s = float(max(1, round(middle)))
+    step_s = stated or 60.0 * round(middle / 60)
+    agreed = len(apart) > 1 and np.ptp(apart) == 0
+    if stated is None and (agreed or abs(step_s - middle) > _CLOCK * middle):
+        step_s = float(max(1, round(middle)))
     begin = step_s * math.floor(local[0] / step_s + 0.5)
     if abs(local[0] - begin) > _OFF * step_s or (_HOUR_S % step_s and 24 * _HOUR_S % step_s):
         whole = 1.0 if step_s % 60 else 60.0
         begin = whole * round(local[0] / whole)
     steps = np.floor((local - begin) / step_s + 0.5).astype(np.int64)
-    off = np.abs(local - begin - steps * step_s)
-    wrong = off > _OFF * step_s
+    wrong = np.abs(local - begin - steps * step_s) > _OFF * step_s
     wrong[1:] |= np.diff(steps) == 0
     wrong[1:] |= irregular and stated is None
     if wrong.any():
         row = int(np.argmax(wrong))
         raise refuse(
             row, f"this row is {duration(float(local[row] - local[max(0, row - 1)]))} after the "
-            f"previous row, but rows must be {duration(step_s)} or a multiple apart, and at most "
-            f"{duration(_OFF * step_s)} off the boundary of a step (this row: "
-            f"{duration(float(off[row]))}): "
+            f"previous row, but rows must be {duration(step_s)} or a multiple apart; "
             + (description.TIPS if irregular else "where the interval changes, split the file")
         )
     return begin, step_s, steps

@@ -57,11 +57,12 @@ def test_what_the_file_of_a_service_is(tmp_path: Path) -> None:
     """July 2021 at Toronto City Centre, as the file itself has it."""
     said = {row[0]: row for row in about(tmp_path, JULY)}
     assert said["hours"][1:] == ("744", "2021-07-01 00:00-05:00 to 2021-07-31 23:00-05:00")
-    assert (said["rain"][1], said["no temperature"][1]) == ("1 h late", "6 h")
+    assert said["rain"][1] == "1 h late"
     assert said["evapotranspiration"][1] == "fao56"
     summaries = " ".join(row[2] for row in about(tmp_path, JULY) if row[0] == "summary")
     # The sum of its column of precipitation.
-    assert "rain 112.3 mm in 31 days" in summaries and "13.6 to 32.7 degC, mean 21.1" in summaries
+    assert "rain 112.3 mm in 31 days" in summaries and "temperature 6 h" in summaries
+    assert "13.6 to 32.7 degC, mean 21.1" in summaries
 
 
 def test_a_description_is_printed_and_completed_by_a_person(tmp_path: Path) -> None:
