@@ -34,14 +34,16 @@ from greenroof_ros.base.files import add_path_to_errors, default_site_file
 from greenroof_ros.base.times import to_people
 from greenroof_ros.simulation.screen import grid
 from greenroof_ros.site.file import read_site
-from greenroof_ros.site.site import Place, Site
+from greenroof_ros.site.site import Place, Site, format_place
 from greenroof_ros.weather.describe import describe
 from greenroof_ros.weather.evapotranspiration import FAO56, HARGREAVES
 from greenroof_ros.weather.read import complete_records, find_files, read_measured
-from greenroof_ros.weather.records import HOUR, Records, write_records
+from greenroof_ros.weather.records import HOUR, Records, name_hours, write_records
 from greenroof_ros.weather.series import Weather
 from greenroof_ros.weather.summary import as_lines, summarize
 
+# Gaps that are named; the first ones.
+_MAX_NAMED = 3
 
 def make_parser() -> Parser:
     """Return the command's parser."""
@@ -99,6 +101,8 @@ def _describe(measured: Records, site: Site, clock: Place) -> Iterator[tuple[str
         weather, unknown = complete_records(measured, site, method=""), str(error)
     for text in measured.left_out:
         yield "left out", "", text
+    for place in dict.fromkeys(measured.places.values()):
+        yield "place", format_place(*place), "of the weather"
     last = measured.first + (measured.hours - 1) * HOUR
     yield "hours", str(measured.hours), f"{to_people(measured.first)} to {to_people(last)}"
     if measured.rain_late:
@@ -107,6 +111,9 @@ def _describe(measured: Records, site: Site, clock: Place) -> Iterator[tuple[str
         yield "rain", measured.rain_kind, measured.rain_note
     for line in as_lines(summarize(measured, clock)):
         yield "summary", "", line
+    for name, series in measured.values.items():
+        if spans := name_hours(measured.first, np.isnan(series)):
+            yield f"no {name}", f"{np.isnan(series).sum()} h", ", ".join(spans[:_MAX_NAMED])
     known = weather.evapotranspiration[~np.isnan(weather.evapotranspiration)]
     if known.size:
         lost = f", unknown in {weather.hours - known.size} hours" * (known.size < weather.hours)

@@ -304,10 +304,8 @@ def _check_hours(weather: Weather, hours: NDArray[np.int64]) -> None:
     """Reject a run that needs a missing hour that has not been filled."""
     way_out = "choose another period, or add values from another station"
     if weather.gaps == REFUSE:
-        way_out += (
-            "; or fill the gaps (--gaps fill, gaps: fill), which sets missing rain to 0, and other "
-            "missing values to the mean at the same time of day on the three days before and after"
-        )
+        filled = "with 0 for rain, and the mean of three days before and after for the rest"
+        way_out += f"; or fill the gaps (--gaps fill, gaps: fill), {filled}"
     unknown = hours[np.isnan(weather.evapotranspiration[hours])]
     sources = FOR_EVAPOTRANSPIRATION if weather.method == FAO56 else ()
     for needed, quantities in (

@@ -320,10 +320,9 @@ def arrange(table: Table, described: Description, site: Place, wanted: Collectio
     offset = first.utcoffset() or timedelta()
     begin, step_s, steps = _number_steps(seconds + offset.total_seconds(), described.step, refuse)
     values, area = dict[str, Values](), site.a2 if isinstance(site, Site) else math.nan
-    for name, series in zip(readers, numbers, strict=True):
+    for name, amounts in zip(readers, map(np.array, numbers), strict=True):
         column, unit_name = columns[name]
         unit = quantities.find_unit(name, unit_name, step_s / _HOUR_S, area)
-        amounts = np.array(series)
         if unit_name.startswith(quantities.COUNTER):
             amounts = _take_differences(table, column, amounts, steps, lines)
         elif name == PRECIPITATION:
@@ -476,12 +475,9 @@ def _take_differences(
     """
     before = np.append(math.nan, totals[:-1])
     falls = totals < before
-    little = np.flatnonzero(falls & (totals > _LITTLE * before))
-    if little.size:
-        raise table.refuse(
-            "must not be a little less than the previous total: a counter falls only to begin at 0",
-            column, table.find_row(lines[little[0]]),
-        )
+    for row in np.flatnonzero(falls & (totals > _LITTLE * before)).tolist():
+        expected = "must not fall by little: a counter falls only to begin again at 0"
+        raise table.refuse(expected, column, table.find_row(lines[row]))
     amounts = np.where(falls, totals, totals - before)
     amounts[1:][np.diff(steps) > 1] = math.nan
     # Tenths do not subtract exactly in binary numbers.

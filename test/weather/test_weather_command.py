@@ -57,7 +57,7 @@ def test_what_the_file_of_a_service_is(tmp_path: Path) -> None:
     """July 2021 at Toronto City Centre, as the file itself has it."""
     said = {row[0]: row for row in about(tmp_path, JULY)}
     assert said["hours"][1:] == ("744", "2021-07-01 00:00-05:00 to 2021-07-31 23:00-05:00")
-    assert said["rain"][1] == "1 h late"
+    assert (said["rain"][1], said["no temperature"][1]) == ("1 h late", "6 h")
     assert said["evapotranspiration"][1] == "fao56"
     summaries = " ".join(row[2] for row in about(tmp_path, JULY) if row[0] == "summary")
     # The sum of its column of precipitation.
