@@ -268,7 +268,7 @@ ROWS: dict[str, list[Any]] = {
     ("time", [*ROWS["time"][:23], "noon"], "^the data frame, row 23: time = 'noon': must be a "),
     ("rain [mm]", [0.0] * 24, r"^the data frame: 'rain \[mm\]': an earlier column already"),
     ("temperature [degC]", [20.0] * 2 + [None] * 22,
-     "^the data frame: temperature is missing at 2024-06-01T02:00.*or fill the gaps .--gaps fill, gaps: fill.,"),
+     "^the data frame: temperature is missing at 2024-06-01T02:00.*or fill the gaps .gaps: fill.,"),
 ])
 @pytest.mark.parametrize("library", ["polars", "pandas"])
 def test_what_is_wrong_in_a_data_frame(
