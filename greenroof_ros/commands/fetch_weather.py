@@ -103,5 +103,5 @@ def main() -> None:
         f"start, UTC{records.first.isoformat()[-6:]}."
     ))
     shutil.rmtree(part)
-    show_records(records, site)
+    show_records(records, site, site)
     print(escape(f"written: {output}"), *source.about.splitlines(), sep="\n")

@@ -30,11 +30,11 @@ import numpy as np
 from greenroof_ros.base.command_line import Parser, add_site, command, refuse_unwritable
 from greenroof_ros.base.console import PlainConsole
 from greenroof_ros.base.errors import ConfigurationError
-from greenroof_ros.base.files import add_path_to_errors
+from greenroof_ros.base.files import add_path_to_errors, default_site_file
 from greenroof_ros.base.times import to_people
 from greenroof_ros.simulation.screen import grid
 from greenroof_ros.site.file import read_site
-from greenroof_ros.site.site import Site, format_place
+from greenroof_ros.site.site import Place, Site, format_place
 from greenroof_ros.weather.describe import describe
 from greenroof_ros.weather.evapotranspiration import FAO56, HARGREAVES
 from greenroof_ros.weather.read import complete_records, find_files, read_measured
@@ -42,9 +42,8 @@ from greenroof_ros.weather.records import HOUR, Records, name_hours, write_recor
 from greenroof_ros.weather.series import Weather
 from greenroof_ros.weather.summary import as_lines, summarize
 
-# Gaps that are named.
+# Gaps that are named; the first ones.
 _MAX_NAMED = 3
-
 
 def make_parser() -> Parser:
     """Return the command's parser."""
@@ -80,7 +79,8 @@ def main() -> None:
     # A file for another place is described, too; a run rejects it, or warns.
     anywhere = replace(site, latitude=None, longitude=None, elevation=None)
     measured = read_measured(files, anywhere)
-    show_records(measured, site)
+    # No place is known without a site file, so the file's clock counts.
+    show_records(measured, site, Place() if arguments.site == default_site_file() else site)
     if output is not None:
         about = "\n".join((*measured.applied, "Written by greenroof weather."))
         with add_path_to_errors(output):
@@ -88,12 +88,12 @@ def main() -> None:
         PlainConsole().print(f"written: {output}", soft_wrap=True)
 
 
-def show_records(measured: Records, site: Site) -> None:
-    """Print a table of what a weather record contains."""
-    PlainConsole().print(grid("Weather", _describe(measured, site)))
+def show_records(measured: Records, site: Site, clock: Place) -> None:
+    """Print a table of what a weather record contains, at a site, with sums on a clock."""
+    PlainConsole().print(grid("Weather", _describe(measured, site, clock)))
 
 
-def _describe(measured: Records, site: Site) -> Iterator[tuple[str, str, str]]:
+def _describe(measured: Records, site: Site, clock: Place) -> Iterator[tuple[str, str, str]]:
     """Yield rows: a label, a value and a description."""
     try:
         weather, unknown = complete_records(measured, site), ""
@@ -101,22 +101,19 @@ def _describe(measured: Records, site: Site) -> Iterator[tuple[str, str, str]]:
         weather, unknown = complete_records(measured, site, method=""), str(error)
     for text in measured.left_out:
         yield "left out", "", text
-    own = format_place(site.latitude, site.longitude)
     for place in dict.fromkeys(measured.places.values()):
-        yield "place", format_place(*place), f"the site is at {own}"
+        yield "place", format_place(*place), "of the weather"
     last = measured.first + (measured.hours - 1) * HOUR
     yield "hours", str(measured.hours), f"{to_people(measured.first)} to {to_people(last)}"
     if measured.rain_late:
         yield "rain", "1 h late", "each time is the end of an hour; a run treats it as the start"
     if measured.rain_kind:
         yield "rain", measured.rain_kind, measured.rain_note
-    for line in as_lines(summarize(measured, site)):
+    for line in as_lines(summarize(measured, clock)):
         yield "summary", "", line
     for name, series in measured.values.items():
-        missing = np.isnan(series)
-        if spans := name_hours(measured.first, missing):
-            more = ", ..." * (len(spans) > _MAX_NAMED)
-            yield f"no {name}", f"{missing.sum()} h", ", ".join(spans[:_MAX_NAMED]) + more
+        if spans := name_hours(measured.first, np.isnan(series)):
+            yield f"no {name}", f"{np.isnan(series).sum()} h", ", ".join(spans[:_MAX_NAMED])
     known = weather.evapotranspiration[~np.isnan(weather.evapotranspiration)]
     if known.size:
         lost = f", unknown in {weather.hours - known.size} hours" * (known.size < weather.hours)

@@ -7,12 +7,10 @@ question mark stands where a person must decide. Reading uses none of this.
 from __future__ import annotations
 
 import itertools
-import math
 import re
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
-from datetime import datetime
 from pathlib import Path
 
 import yaml
@@ -22,7 +20,7 @@ from greenroof_ros.base.files import read_lines
 from greenroof_ros.base.parameter import parameters_of
 from greenroof_ros.base.ranges import read_number
 from greenroof_ros.base.text import escape
-from greenroof_ros.weather.description import SEPARATORS, TIME, Description
+from greenroof_ros.weather.description import LONG, SEPARATORS, TIME, Description
 from greenroof_ros.weather.quantities import PRECIPITATION, QUANTITIES, Unit, find_unit
 from greenroof_ros.weather.table import parse_text, split, split_unit
 
@@ -32,12 +30,15 @@ _ENCODINGS = "utf-8", "cp1252"
 # Lines after the rows that can contain sums and remarks.
 _FOOT = 4
 _HIGHEST = 1e4  # of any quantity in our unit
-_DATES = "%d.%m.%Y", "%d.%m.%y", "%d/%m/%Y", "%m/%d/%Y", "%d/%m/%y", "%m/%d/%y", "%Y/%m/%d"
+_DATES = (
+    "%d.%m.%Y", "%d.%m.%y", "%d/%m/%Y", "%m/%d/%Y", "%d/%m/%y", "%m/%d/%y", "%Y/%m/%d", "%d-%m-%Y",
+    "%d-%b-%Y",
+)
 _CLOCKS = "%H:%M", "%H:%M:%S", "%I:%M %p", "%I:%M:%S %p", "%I:%M%p", "%Hh%M", "%H.%M"
 _FORMS = (
-    "", *map(" ".join, itertools.product((*_DATES, "%d-%m-%Y", "%d-%b-%Y"), _CLOCKS)), "%Y%m%d%H%M",
-    "%Y-%m-%d %Hh%M", "%Y-%m-%d %H.%M", "%Y%m%d%H", "%Y%m%d %H%M", "%Y%m%d %H:%M", "%Y%m%d %H",
-    "%Y %m %d %H", "%Y %m %d %H %M",
+    "", *_DATES, "%Y%m%d", "%Y %m %d", *map(" ".join, itertools.product(_DATES, _CLOCKS)),
+    "%Y-%m-%d %Hh%M", "%Y-%m-%d %H.%M", "%Y%m%d%H", "%Y%m%d%H%M", "%Y%m%d %H%M", "%Y%m%d %H:%M",
+    "%Y%m%d %H", "%Y %m %d %H", "%Y %m %d %H %M",
 )
 # Words in the names of columns, in lower case, and words of columns that are something else.
 _WORDS = {
@@ -60,7 +61,6 @@ _OTHER = (
 # A code of missing values is a number, or a text without digits, but not the T of a trace of rain.
 _CODE = re.compile(r"[-+]?\d*([.,]\d+)?|(?!t$|tr$|trace$)\D*", re.IGNORECASE)
 _COMMA = re.compile(r"[-+]?\d*,\d+")
-_ZONE = re.compile(r"\b(?:UTC|GMT)(?: ?([+-]\d{1,2})(?::?(\d\d))?)?\b")
 _UNKNOWN = "?"
 
 
@@ -77,6 +77,9 @@ def describe(file: Path) -> str:
     encoding, lines = _read(file)
     separator, cells, header, first, last, time, forms = _find_rows(file, lines)
     rows = [row for row in cells[first : last + 1] if any(row)]
+    times = [parse_text(" ".join(row[n] for n in time), forms[0]) for row in rows]
+    if len(rows) > 1 and len({each.time() for each in times}) == 1:
+        raise ConfigurationError(f"has a row for each day, but {LONG}", file=file)
     full = names = [" ".join(name.split()) for name in cells[header]]
     counts = Counter(names)
     if header and any(counts[name] > 1 for name in counts if name):  # in two lines
@@ -100,14 +103,12 @@ def describe(file: Path) -> str:
     missing = [*dict.fromkeys(missing)]
     if two_rains or PRECIPITATION not in columns:
         columns[PRECIPITATION] = [_UNKNOWN]
-    head = " ".join(itertools.chain(names, *cells[:header]))
     used, skipped = {*itertools.chain(*columns.values())}, {*range(first)} - {header}
     stated = {
         "file": file.name,
         "columns": {name: each if len(each) > 1 else each[0] for name, each in columns.items()},
         "time_format": forms[0] if len(forms) == 1 else _UNKNOWN,
-        **_find_zone(head, parse_text(" ".join(rows[0][n] for n in time), forms[0])),
-        "rows": _UNKNOWN, "units": units,
+        "time_zone": "" if times[0].tzinfo else _UNKNOWN, "rows": _UNKNOWN, "units": units,
         "na_values": missing[:10] if all(map(_CODE.fullmatch, missing)) else _UNKNOWN,
         "encoding": encoding, "sep": separator, "decimal": "," if comma else ".",
         "skiprows": len(skipped) if skipped == {*range(len(skipped))} else sorted(skipped),
@@ -155,7 +156,7 @@ def _find_rows(
         cells = [split(line, SEPARATORS[separator]) or [line] for line in lines]
         filled = [n for n, row in enumerate(cells) if any(row)]
         feet = range(min(_FOOT + 1, len(filled)))
-        for foot, begin, count in itertools.product(feet, range(8), (4, 2, 1)):
+        for foot, begin, count in itertools.product(feet, range(8), (1, 2, 3, 4)):
             time = tuple(range(begin, begin + count))
             rows, forms = _find_times(cells, filled[: len(filled) - foot], time)
             # A date alone is the same in many rows; an hour can occur twice in autumn.
@@ -225,16 +226,3 @@ def _is_value(quantity: str, unit: Unit, text: str) -> bool:
         value = (read_number(text) - unit.zero) / unit.per_ours
         return QUANTITIES[quantity].low <= value <= _HIGHEST
     return False
-
-
-def _find_zone(head: str, time: datetime) -> dict[str, float | str]:
-    """Return the key of the zone, unless the times contain their offset."""
-    if time.tzinfo is not None:
-        return {}
-    zones = {*_ZONE.findall(head)}
-    if len(zones) != 1:
-        return {"time_zone": _UNKNOWN}
-    hours, minutes = zones.pop()
-    if not hours:
-        return {"time_zone": "UTC"}
-    return {"utc_offset": float(hours) + math.copysign(int(minutes or 0) / 60, float(hours))}

@@ -40,6 +40,9 @@ REANALYSIS, FORECAST = RAIN_KINDS = ("reanalysis", "forecast")
 PLACE = "latitude", "longitude"
 SEPARATORS = {",": ",", ";": ";", "|": "|", "tab": "\t", "space": " "}
 """separators by their names"""
+TIPS = "if each row is a tip of a gauge, sum the tips to 5 minutes (doc/reference/file-formats.md)"
+LONG = "the storms within a longer sum are lost: use a station with hours or minutes"
+"""what to do with files of other kinds"""
 IN_COMMENTS = (
     "rows", "step", "time_zone", "utc_offset", *PLACE, "wind_height", "rain_late", "rain_kind",
 )
@@ -70,7 +73,7 @@ class Description:
                                      -12.0, 14.0, unit="h", default=None)
     rows: str = entry("whether the time of a row is the start or the end of its interval",
                       choices=(START, END), default=START)
-    step: float | None = entry("interval between rows; by default, that of the first ten rows",
+    step: float | None = entry("interval between rows; by default, their median",
                                1.0, 86400.0, unit="s", default=None)
     na_values: tuple[str, ...] = entry("texts that denote a missing value", default=())
     zero_values: tuple[str, ...] = entry("texts that denote a trace of rain, which counts as 0",

@@ -84,6 +84,8 @@ _UNITS = {
 }
 # Amounts are totals in the interval of a row or, with "/" and a time, rates.
 _AMOUNTS = "depth", "volume", "water", "energy"
+COUNTER = "counter "
+"""begins the unit of a running total, such as ``counter mm``; its differences are amounts"""
 _HOURS = {"s": 1 / 3600, "min": 1 / 60, "h": 1.0, "day": 24.0}
 _ZEROS = {"degF": 32.0, "K": 273.15}
 # Other ways to write units.
@@ -110,21 +112,22 @@ def find_unit(quantity: str, name: str, step_h: float, area: float) -> Unit:
 
     Args:
         quantity: quantity of the column.
-        name: name of the unit, such as ``mm``, ``mm/h``, ``degF`` or ``0.1 mm``.
+        name: name of the unit, such as ``mm``, ``mm/h``, ``degF``, ``0.1 mm`` or ``counter mm``.
         step_h: interval of a row (h), to which an amount refers.
         area: area of the roof (m2), to which litres and m3 refer.
 
     Raises:
         ValueError: if the quantity does not have such a unit; the message names those that it has.
     """
-    factor, plain = _simplify(name)
+    factor, plain = _simplify(name.removeprefix(COUNTER))
     our_hours = _HOURS.get(QUANTITIES[quantity].unit.rpartition("/")[2], 1.0)
     for kind in QUANTITIES[quantity].kinds:
         units, hours = _UNITS[kind], {"": 1.0}
         if kind in _AMOUNTS:
             hours = {**_HOURS, "": step_h}
         unit, _, time = (plain, "", "") if plain in units else plain.rpartition("/")
-        if unit in units and time in hours:
+        is_known = unit in units and time in hours
+        if is_known and (not name.startswith(COUNTER) or (kind in _AMOUNTS and not time)):
             per_ours = units[unit] * (area if kind == "volume" else 1.0) * hours[time] / our_hours
             return Unit(name, per_ours / factor, _ZEROS.get(unit, 0.0) / factor)
     raise ValueError(f"the unit of {quantity} must be one of {', '.join(known_units(quantity))}")

@@ -21,7 +21,7 @@ from greenroof_ros.base.files import find_shipped, shared_directory
 from greenroof_ros.site.site import Place
 from greenroof_ros.weather import evapotranspiration, open_meteo, quantities
 from greenroof_ros.weather.climate import RECORDED, Climate, change_climate
-from greenroof_ros.weather.description import TIME, Description, read_description
+from greenroof_ros.weather.description import TIME, TIPS, Description, read_description
 from greenroof_ros.weather.evapotranspiration import FAO56, HARGREAVES
 from greenroof_ros.weather.quantities import EVAPOTRANSPIRATION, PRECIPITATION, TEMPERATURE, WEATHER
 from greenroof_ros.weather.records import Array, Records, bridge_gaps, make_hours, write_records
@@ -168,8 +168,8 @@ def drop_empty(records: Records) -> Records:
     empty = [name for name, series in records.values.items() if np.isnan(series).all()]
     if PRECIPITATION in empty:
         raise ConfigurationError(
-            "has no precipitation: every value is missing, or no hour has 45 minutes of values",
-            file=records.source,
+            "has no precipitation: every value is missing, or no hour has 45 minutes of values; "
+            f"{TIPS}", file=records.source,
         )
     notes = [f"{records.source} contains no values of {name}" for name in empty]
     return replace(

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.times import duration, to_minutes
-from greenroof_ros.weather.description import END, PLACE
+from greenroof_ros.weather.description import END, LONG, PLACE
 from greenroof_ros.weather.quantities import (
     DEW_POINT,
     EVAPOTRANSPIRATION,
@@ -206,7 +206,7 @@ def make_hours(parts: Sequence[Rows]) -> Records:
             raise rows.table.refuse("must have a column of weather, such as 'rain [mm]'")
         if rows.step_s > _HOUR_S:
             apart = duration(rows.step_s)
-            raise rows.table.refuse(f"rows must be at most one hour apart, not {apart}")
+            raise rows.table.refuse(f"rows must be at most one hour apart, not {apart}: {LONG}")
         _check_same_kind(next(each for each in parts if each.values.keys() & rows.values), rows)
     first = parts[0].first
     if parts[0].step_s < _HOUR_S:

@@ -299,10 +299,8 @@ def _check_hours(weather: Weather, hours: NDArray[np.int64]) -> None:
     """Reject a run that needs a missing hour that has not been filled."""
     way_out = "choose another period, or add values from another station"
     if weather.gaps == REFUSE:
-        way_out += (
-            "; or fill the gaps (gaps: fill), which sets missing rain to 0, and other missing "
-            "values to the mean at the same time of day on the three days before and after"
-        )
+        filled = "with 0 for rain, and the mean of three days before and after for the rest"
+        way_out += f"; or fill the gaps (gaps: fill), in a command by its option gaps, {filled}"
     unknown = hours[np.isnan(weather.evapotranspiration[hours])]
     sources = FOR_EVAPOTRANSPIRATION if weather.method == FAO56 else ()
     for needed, quantities in (
@@ -334,6 +332,6 @@ def select_records(weather: Weather, quantity: str, hours: NDArray[np.intp]) -> 
     index = np.clip(hours, 0, weather.hours - 1)
     _refuse_missing(
         weather, quantity, index,
-        "a forecast in the run needs it; fill the gaps (gaps: fill), or choose another period",
+        "a forecast needs it; fill the gaps (gaps: fill, or option gaps), or take another period",
     )
     return weather.values[quantity][index]

@@ -10,6 +10,7 @@ from __future__ import annotations
 import csv
 import itertools
 import math
+import re
 from array import array
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
@@ -35,10 +36,15 @@ from greenroof_ros.weather.quantities import EVAPOTRANSPIRATION, PRECIPITATION, 
 
 Values = NDArray[np.float64]
 _Refuse = Callable[[int, str], ConfigurationError]
-_HOUR_S = 3600.0
-# Rows from which the step is taken, the share of a step by which a time may be off, and the share
-# by which a step of whole minutes may be off because of the logger's clock.
-_FIRST_ROWS, _OFF, _CLOCK = 10, 0.25, 0.02
+_HOUR_S, _DAY_S = 3600.0, 86_400.0
+# The share of a step by which a time may be off, and the share by which a step of whole minutes may
+# be off because of the logger's clock.
+_OFF, _CLOCK = 0.25, 0.02
+# No rain of one day to a year has been more than 3,000 mm times this power of the days: the records
+# are 1,825 mm in a day, 4,936 mm in four, 9,300 mm in a month and 26,470 mm in a year (WMO).
+_RECORD, _POWER = 3000.0, 0.37
+# A running total that begins again after more than this share of it was a fall by little.
+_LITTLE = 0.95
 _OWN = Description()
 
 
@@ -314,10 +320,15 @@ def arrange(table: Table, described: Description, site: Place, wanted: Collectio
     offset = first.utcoffset() or timedelta()
     begin, step_s, steps = _number_steps(seconds + offset.total_seconds(), described.step, refuse)
     values, area = dict[str, Values](), site.a2 if isinstance(site, Site) else math.nan
-    for name, series in zip(readers, numbers, strict=True):
+    for name, amounts in zip(readers, map(np.array, numbers), strict=True):
         column, unit_name = columns[name]
         unit = quantities.find_unit(name, unit_name, step_s / _HOUR_S, area)
-        values[name] = _convert(table, name, column, unit, np.array(series), lines)
+        if unit_name.startswith(quantities.COUNTER):
+            amounts = _take_differences(table, column, amounts, steps, lines)
+        elif name == PRECIPITATION:
+            depths = amounts / unit.per_ours * step_s / _HOUR_S
+            _refuse_total(table, column, depths, (steps * step_s // _DAY_S).astype(np.int64))
+        values[name] = _convert(table, name, column, unit, amounts, lines)
     if described.rows == END:
         begin -= step_s
     used = {*places, *map(table.place, itertools.chain(
@@ -449,6 +460,48 @@ def _number_reader(
     return read
 
 
+def _take_differences(
+    table: Table, column: str, totals: Values, steps: NDArray[np.int64], lines: Sequence[int]
+) -> Values:
+    """Return the amounts of rows from a running total.
+
+    After a fall, the total is the amount since it began again at 0. The amount of the first row, or
+    of one after a missing row, is unknown (NaN).
+
+    Raises:
+        ConfigurationError: if the total falls by little, as the level of a weighing gauge does.
+    """
+    before = np.append(math.nan, totals[:-1])
+    falls = totals < before
+    for row in np.flatnonzero(falls & (totals > _LITTLE * before)).tolist():
+        expected = "must not fall by little: a counter falls only to begin again at 0"
+        raise table.refuse(expected, column, table.find_row(lines[row]))
+    amounts = np.where(falls, totals, totals - before)
+    amounts[1:][np.diff(steps) > 1] = math.nan
+    # Tenths do not subtract exactly in binary numbers.
+    return np.asarray(np.round(amounts, 9))
+
+
+def _refuse_total(table: Table, column: str, depths: Values, days: NDArray[np.int64]) -> None:
+    """Reject a running total as rain: it seldom falls, and its sum is impossible.
+
+    Args:
+        table: table of the file.
+        column: column of the rain.
+        depths: rain in the rows (mm).
+        days: day of every row, from 0.
+    """
+    sums, changes = np.bincount(days, np.nan_to_num(depths)), np.diff(depths)
+    most = max(sums.max(), sums.sum() / len(sums) ** _POWER)
+    # A single row can be a code of a missing value.
+    seldom_falls = 2 * np.count_nonzero(changes < 0) <= np.count_nonzero(changes > 0)
+    if seldom_falls and most - np.nanmax(depths, initial=0.0) > _RECORD:
+        raise table.refuse(
+            f"looks like a running total (as rain, {sums.sum():.0f} mm in {len(sums)} days): state "
+            f"its unit in the header or in units, as in '{quantities.COUNTER}mm'", column,
+        )
+
+
 def _convert(
     table: Table, name: str, column: str, unit: quantities.Unit, numbers: Values,
     lines: Sequence[int],
@@ -504,7 +557,7 @@ def _find_seconds(times: Sequence[datetime], zone: tzinfo | None, refuse: _Refus
             time = time.replace(fold=1)
         if time.timestamp() <= before:
             advice = "; if this clock is changed in summer, state time_zone, such as Europe/Berlin"
-            expected = "must be later than the time of the previous row"
+            expected = f"must be later than the time of the previous row; {description.TIPS}"
             raise refuse(place, expected + advice * is_local)
         before = time.timestamp()
         seconds.append(before)
@@ -537,10 +590,15 @@ def parse_text(text: str, form: str) -> datetime:
         return parse_time(text)
     if form.endswith("%p") and text[-1:] in "ap":
         text += "m"
-    date, mark, rest = text.partition(" 24")
-    if mark and not rest.lstrip(":.h0"):
-        return datetime.strptime(f"{date} 00{rest}", form) + timedelta(days=1)  # noqa: DTZ007
-    return datetime.strptime(text, form)  # noqa: DTZ007
+    with suppress(ValueError):
+        return datetime.strptime(text, form)  # noqa: DTZ007
+    for hour in re.finditer("24", text):  # no time has the hour 24, nor 00 in place of another 24
+        with suppress(ValueError):
+            changed = f"{text[: hour.start()]}00{text[hour.end() :]}"
+            day = datetime.strptime(changed, form)  # noqa: DTZ007
+            if day.hour == day.minute == day.second == 0:
+                return day + timedelta(days=1)
+    raise ValueError
 
 
 def _number_steps(
@@ -548,40 +606,35 @@ def _number_steps(
 ) -> tuple[float, float, NDArray[np.int64]]:
     """Return the start of step 0 (s since 1970 on the file's clock), the step (s), and every row's.
 
-    Without a statement, the step is that of the first ten rows, in whole minutes if the rows
-    disagree by some seconds; a single row covers an hour. Steps that divide an hour or a day begin
-    at multiples of the interval since midnight. Other steps begin at the first row, and so do all
-    steps if the first row is too far from a multiple.
+    Without a statement, the step is the median interval, in whole minutes if the rows disagree by
+    some seconds; a single row covers an hour. Steps that divide an hour or a day begin at multiples
+    of the interval since midnight. Other steps begin at the first row, and so do all steps if the
+    first row is too far from a multiple.
 
     Raises:
-        ConfigurationError: if a row is too far from the beginning of a step, in the same step as
-            the previous row, or among ten first rows with missing rows.
+        ConfigurationError: if a row is too far from the beginning of a step, or in the same step as
+            the previous row; or if less than half of the intervals are a step that is not stated.
     """
-    step_s = stated or _HOUR_S
-    if stated is None and len(local) > 1:
-        apart = np.diff(local[:_FIRST_ROWS])
-        middle = float(np.median(apart))
-        step_s = 60.0 * round(middle / 60)
-        agreed = len(apart) > 1 and np.ptp(apart) == 0
-        if agreed or abs(step_s - middle) > _CLOCK * middle:
-            step_s = float(max(1, round(middle)))
+    apart = np.diff(local)
+    middle = float(np.median(apart)) if apart.size else _HOUR_S
+    irregular = (abs(apart - middle) > _OFF * middle).sum() > apart.size / 2
+    step_s = stated or 60.0 * round(middle / 60)
+    agreed = len(apart) > 1 and np.ptp(apart) == 0
+    if stated is None and (agreed or abs(step_s - middle) > _CLOCK * middle):
+        step_s = float(max(1, round(middle)))
     begin = step_s * math.floor(local[0] / step_s + 0.5)
     if abs(local[0] - begin) > _OFF * step_s or (_HOUR_S % step_s and 24 * _HOUR_S % step_s):
         whole = 1.0 if step_s % 60 else 60.0
         begin = whole * round(local[0] / whole)
     steps = np.floor((local - begin) / step_s + 0.5).astype(np.int64)
-    off = np.abs(local - begin - steps * step_s)
-    wrong = off > _OFF * step_s
+    wrong = np.abs(local - begin - steps * step_s) > _OFF * step_s
     wrong[1:] |= np.diff(steps) == 0
-    if stated is None:
-        wrong[1:_FIRST_ROWS] |= np.diff(steps[:_FIRST_ROWS]) != 1
+    wrong[1:] |= irregular and stated is None
     if wrong.any():
         row = int(np.argmax(wrong))
         raise refuse(
             row, f"this row is {duration(float(local[row] - local[max(0, row - 1)]))} after the "
-            f"previous row, but rows must be {duration(step_s)} or a multiple apart, and at most "
-            f"{duration(_OFF * step_s)} off the boundary of a step (this row: "
-            f"{duration(float(off[row]))}): where the interval changes, split the file; if rows "
-            f"are missing among the first ten, state the interval in seconds: step: {step_s:g}",
+            f"previous row, but rows must be {duration(step_s)} or a multiple apart; "
+            + (description.TIPS if irregular else "where the interval changes, split the file")
         )
     return begin, step_s, steps

@@ -53,7 +53,10 @@ def test_a_description_takes_two_edits(tmp_path: Path) -> None:
     "2024-06-15 12:00,1\n2024-06-15 13:00,2\n",  # no header
     "#\n" * 10_500 + "Zeit,Regen\n2024-06-15 12:00,1\n",
     "Dag,Uur,Regen\n2024-06-15,12u00,1\n2024-06-15,13u00,2\n",
-], ids=["no header", "a late header", "no time"])
+    "Code,Year,Month,Day,Rainfall amount (millimetres)\n"
+    + "".join(f"IDCJAC0009,2024,01,{day:02},0.4\n" for day in range(1, 32)),
+    "Datum;Regen\n" + "".join(f"{day:02}.01.2024;0,4\n" for day in range(1, 32)),
+], ids=["no header", "a late header", "no time", "days", "German days"])
 def test_what_cannot_be_described(tmp_path: Path, text: str) -> None:
     (tmp_path / "gauge.csv").write_text(text)
     assert "gauge.csv" in refusal(describe, tmp_path / "gauge.csv")

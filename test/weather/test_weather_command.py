@@ -61,7 +61,8 @@ def test_what_the_file_of_a_service_is(tmp_path: Path) -> None:
     assert said["evapotranspiration"][1] == "fao56"
     summaries = " ".join(row[2] for row in about(tmp_path, JULY) if row[0] == "summary")
     # The sum of its column of precipitation.
-    assert "rain 112.3 mm in 31 days" in summaries and "13.6 to 32.7 degC, mean 21.1" in summaries
+    assert "rain 112.3 mm in 31 days" in summaries and "temperature 6 h" in summaries
+    assert "13.6 to 32.7 degC, mean 21.1" in summaries
 
 
 def test_a_description_is_printed(tmp_path: Path) -> None:
@@ -88,3 +89,19 @@ def test_monthly_means_are_those_of_a_site_file(tmp_path: Path) -> None:
     in_july = whole[hours.astype("datetime64[M]") == np.datetime64("2024-07")]
     assert means is not None and means[6] == pytest.approx(in_july.mean(), abs=0.005)
     assert not any(row[1] == "monthly" for row in about(tmp_path, JULY))
+
+
+def test_years_are_summed(tmp_path: Path) -> None:
+    """A millimetre an hour for more than two years: 8760 or 8784 mm, on the clock of the file.
+
+    With a site file, the sums are on the site's clock.
+    """
+    hours = np.arange("2019-01-01", "2021-02-01", dtype="datetime64[h]")
+    file = tmp_path / "years.csv"
+    file.write_text("\n".join(["time,rain [mm]", *(f"{hour}:00Z,1" for hour in hours)]))
+    for options, sums in (
+        ((), "(2019 8760, 2020 8784, 2021 744)"),
+        (("--site", site_file(tmp_path)), "(2018 5, 2019 8760, 2020 8784, 2021 739)"),
+    ):
+        summary = next(row[2] for row in about(tmp_path, file, *options) if row[0] == "summary")
+        assert sums in summary

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import time
 import tracemalloc
+from contextlib import suppress
 from datetime import datetime, timedelta
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from places import CONFIG, DATA, refusal
 from greenroof_ros.site.file import read_site
 from greenroof_ros.weather.read import read_measured
 from greenroof_ros.weather.records import Records
+from greenroof_ros.weather.table import parse_text
 
 SITE = read_site(CONFIG / "site.yaml")
 FIRST = datetime.fromisoformat("2024-06-01T00:00-05:00")
@@ -123,6 +125,46 @@ def test_encodings_and_line_ends(tmp_path: Path, encoding: str, ends: str) -> No
         assert "line 1: is not text in UTF-8" in message and "--describe" in message
 
 
+# --- running totals -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("unit", "totals", "expected"), [
+    # It begins again in the fourth row; the row after a missing value is missing.
+    ("mm", [10.0, 10.2, 10.2, 0.4, 0.6, "", 2.6, 2.8], [None, 0.2, 0, 0.4, 0.2, None, None, 0.2]),
+    ("in", [1.00, 1.01, 0.02], [None, 0.254, 0.508]), ("0.2 mm", [7, 7, 10], [None, 0, 0.6]),
+])
+def test_the_rain_is_the_difference_of_a_counter(
+    tmp_path: Path, unit: str, totals: list[object], expected: list[float | None]
+) -> None:
+    values = rain_of(tmp_path, f"time,rain [counter {unit}]\n{rows(totals)}")
+    assert values == pytest.approx([*map(float, np.array(expected, float))], nan_ok=True)
+
+
+def test_a_counter_does_not_fall_by_little(tmp_path: Path) -> None:
+    """The level of a weighing gauge does; it would be 205.1 mm of rain."""
+    text = f"time,rain [counter mm]\n{rows([205.0, 205.2, 205.1])}"
+    assert "line 4: rain [counter mm] = '205.1'" in refusal(read, tmp_path, text)
+    text = f"time,rain [counter mm/h]\n{rows([1])}"
+    assert "the unit of precipitation" in refusal(read, tmp_path, text)
+
+
+@pytest.mark.parametrize(("step_s", "begins_every"), [(3600, 300), (300, 500), (300, 288)])
+def test_a_running_total_is_not_rain(tmp_path: Path, step_s: int, begins_every: int) -> None:
+    """A tip of 0.2 mm in each third row, from 400 mm or 0, and what it looks like."""
+    totals = [(400 if step_s == 3600 else 0) + 0.2 * (n % begins_every // 3) for n in range(8000)]
+    message = refusal(read, tmp_path, f"time,rain [mm]\n{rows(totals, step_s)}")
+    assert "'rain [mm]': looks like a running total" in message and "counter mm" in message
+
+
+def test_the_heaviest_rain_is_no_running_total(tmp_path: Path) -> None:
+    """1,825 mm in a day, the record (WMO), rises and falls; so do the hours of the services."""
+    day: list[object] = [1825 / 144 * min(n, 24 - n) for n in range(24)]
+    assert sum(rain_of(tmp_path, f"time,rain [mm]\n{rows(day)}")) == pytest.approx(1825)
+    for file in DATA.glob("en_climate_hourly_*.csv"):
+        hours = 12 * read_measured([file], SITE).values["precipitation"]
+        rain_of(tmp_path, "time,rain [mm]\n" + rows([*hours]).replace("nan", ""))
+
+
 # --- times ----------------------------------------------------------------------------------------
 
 
@@ -171,16 +213,39 @@ def test_a_step_that_is_no_whole_minute(tmp_path: Path, step_s: int) -> None:
 
 
 def test_missing_rows(tmp_path: Path) -> None:
-    """A multiple of the step is missing rows; the first rows must agree, or the step be stated."""
+    """A multiple of the step is missing rows; half of the rows agree, or the step is stated."""
     lines = rows(12 * [1]).splitlines(True)
     text = "time,rain [mm]\n" + "".join(lines[:10] + lines[11:])
     assert np.isnan(rain_of(tmp_path, text)).tolist() == 10 * [False] + [True, False]
-    text = "time,rain [mm]\n" + "".join(lines[:1] + lines[3:])
-    assert "line 3: time = '2024-06-01T03:00:00-05:00': this row is 3 h after the previous row" in (
+    text = "time,rain [mm]\n" + "".join(lines[each] for each in (0, 4, 5, 7))
+    assert "line 3: time = '2024-06-01T04:00:00-05:00': this row is 4 h after the previous row" in (
         refusal(read, tmp_path, text)
     )
+    text = "time,rain [mm]\n" + "".join(lines[:1] + lines[3:])
     assert np.isnan(rain_of(tmp_path, "# step: 3600\n" + text)).sum() == 2
     assert rain_of(tmp_path, f"time,rain [mm]\n{rows([1])}") == [1]  # a single row is an hour
+
+
+@pytest.mark.parametrize(("form", "text", "expected"), [
+    ("%H:%M %Y %m %d", "23:30 2023 05 24", "2023-05-24T23:30"),
+    ("%H:%M %Y %m %d", "24:00 2024 01 24", "2024-01-25T00:00"),
+    ("%Y%m%d%H", "2024012424", "2024-01-25T00:00"), ("%d/%m/%y %H:%M", "24/12/24 24:30", None),
+    ("%Y %m %d", "2024 01 24", "2024-01-24T00:00"), ("%Y %m %d", "2024 24 01", None),
+])
+def test_24_is_an_hour_only_in_place_of_the_hour(
+    form: str, text: str, expected: str | None
+) -> None:
+    read_time = None
+    with suppress(ValueError):
+        read_time = parse_text(text, form).isoformat(timespec="minutes")
+    assert read_time == expected
+
+
+@pytest.mark.parametrize("step", ["", "# step: 300\n", "# step: 1\n"])
+def test_a_row_for_each_tip_is_refused_with_the_way_out(tmp_path: Path, step: str) -> None:
+    times = (FIRST + timedelta(seconds=s) for s in (0, 7, 95, 110, 1400, 9000, 9013, 90_000))
+    text = step + "time,rain [mm]\n" + "".join(f"{each.isoformat()},0.2\n" for each in times)
+    assert "if each row is a tip of a gauge, sum the tips to 5" in refusal(read, tmp_path, text)
 
 
 @pytest.mark.parametrize(("line", "seconds"), [(13, -300), (14, 120), (14, -240), (14, 76)])
