@@ -1,4 +1,4 @@
-"""Everything of a live site that neither drives the pump nor is the user's code, in one process.
+"""The station: one process with the nodes that drive no pump or valve and run no user's code.
 
 ``python -m greenroof_ros.live.station --sensors sensors.yaml --weather`` creates a node for every
 section of the sensor file, the weather node, the recorder and the alarms node. A node that fails is

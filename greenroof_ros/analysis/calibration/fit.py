@@ -467,7 +467,7 @@ def fit_exponents(
 def choose_exponent(fits: Sequence[Fit], own: float) -> tuple[Fit, str]:
     """Return the fit to use, with the exponent among its parameters, and a note on the others.
 
-    The validation does not tell exponents apart whose NSE is within 0.05 of the best, because it
+    The validation cannot distinguish exponents whose NSE is within 0.05 of the best, because it
     depends on a few storms. If the site's own exponent is among them, it is kept; otherwise, the
     best exponent is used. Between the exponents that were compared, the NSE is interpolated.
 

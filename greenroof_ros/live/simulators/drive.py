@@ -37,7 +37,7 @@ class SimulatedDrive:
     ramp_s = 5.0
 
     def __init__(self, file: DriveFile, interface: str = "serial", timeout_s: float = 5.0) -> None:
-        """Initialize a stopped drive that was powered up long ago.
+        """Create a stopped drive whose power has been on for a long time.
 
         Args:
             file: the drive file.

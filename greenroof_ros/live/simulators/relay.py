@@ -161,7 +161,7 @@ class SimulatedValve:
         self.fault = fault
 
     def advance(self) -> float:
-        """Move the valve until now, and return its position."""
+        """Move the valve up to the present time, and return its position."""
         before, self._at = self._at, time.monotonic()
         opens = self._on()
         if self.fault != ("stuck_closed" if opens else "stuck_open"):
