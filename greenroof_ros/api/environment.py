@@ -237,7 +237,7 @@ class Roofs:
         return np.maximum(0.0, after - self._without_rain[:, place]) / (after or 1.0)
 
     def act(self, commands: Any) -> list[Tick]:
-        """Simulate a tick with the commands described in :meth:`follow`, and return it for every site."""
+        """Simulate a tick with the commands of :meth:`follow`, and return it for every site."""
         readings, k, ticks = self.levels.tolist(), self.tick, list[Tick]()
         self.follow(commands, 1)
         for levels, kept in zip(readings, self.sites.kept[:, min(k, 1)].tolist(), strict=True):

@@ -20,8 +20,8 @@ equals the rain, as in Johannessen, Muthanna and Braskerud (2018, Water 10, 671)
 five-minute peaks of rain and runoff.
 
 A valve of the low outlet that can only be fully open or closed rests after it closed. A motor or a
-solenoid withstands a limited number of operations. Closing is never delayed, because an open valve can do
-harm; only the next opening waits.
+solenoid withstands a limited number of operations. Closing is never delayed, because an open valve
+can do harm; only the next opening waits.
 """
 
 from __future__ import annotations
