@@ -13,6 +13,7 @@ import math
 import os
 import re
 import sys
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
@@ -52,6 +53,7 @@ _START = (
     "its options. If the pump is still turning, stop it at its drive's panel or at the main switch."
 )
 _GO_AND_SEE = "Go and see whether the pump is stopped. If not, use its panel or the main switch."
+_GO_AND_CLOSE = "Go and see whether the outlet valve is closed. If not, close it by hand."
 
 _LOCK_OUT = "Anyone working on the pump must lock it out at the pump itself."
 _STOP = f"A stop holds the pump off until someone releases it. {_LOCK_OUT}"
@@ -80,7 +82,8 @@ def make_document(store: GraphStore, steady: float) -> dict[str, Any]:
     """
     with store.lock:
         store.steady = steady
-        tiles, rows, stop = make_tiles(store), _list_alarms(store), describe_stop(store)
+        tiles, stop = make_tiles(store), describe_stop(store)
+        rows = _list_alarms(store, tiles)
         summary, step = _summarize(store, tiles, rows)
         local = store.local(store.now)
         return {
@@ -186,16 +189,23 @@ def _write_dose(dose: Mapping[str, Any], flow: float | None) -> str:
 # --- alarms and events ----------------------------------------------------------------------------
 
 
-def _list_alarms(store: GraphStore) -> list[dict[str, Any]]:
+def _list_alarms(store: GraphStore, tiles: Mapping[str, Tile]) -> list[dict[str, Any]]:
     """Return the present alarms as they are published, the most important one first.
 
-    An alarm that follows from another one is left out.
+    An alarm that follows from another one is left out, unless the sentence above the tiles rests on
+    it, as it does if the pump may be running or the valve may be open.
     """
     # The pump node comes first (without it, no one knows whether the pump runs), then its state.
     ranks = {(PUMP, ""): 0, (PUMP, PUMP): 1}
-    present = [alarm for alarm in store.present if alarm.number and not alarm.follows]
+    told = {(role, role) for role in (PUMP, VALVE) if tiles.get(role, {}).get("state") == "alarm"}
+    present = [
+        alarm for alarm in store.present
+        if alarm.number and (not alarm.follows or (alarm.role, alarm.part) in told)
+    ]
+    followers = Counter(alarm.follows for alarm in store.present)
     present.sort(key=lambda alarm: (
-        ranks.get((alarm.role, alarm.part), 2), not alarm.is_serious, -alarm.since
+        ranks.get((alarm.role, alarm.part), 3 - ((alarm.role, alarm.part) in told)),
+        not alarm.is_serious, -followers[alarm.name], -alarm.since,
     ))
     return [{
         "id": alarm.name, "role": alarm.role, "code": alarm.code,
@@ -243,8 +253,8 @@ def _summarize(
     word = word or ("All is well" if level == "ok" else "")
     if not known and gone is None:
         word = "Whether there are alarms is unknown"
-    # The advice on the first alarm; of a held pump or one that may turn, the box states more.
-    told = (PUMP, "hold"), (PUMP, "standstill_unknown")
+    # The advice on the first alarm; of these, the box states more.
+    told = (PUMP, "hold"), (PUMP, "standstill_unknown"), (VALVE, "valve_may_be_open")
     step = next((row["do"] for row in rows if (row["role"], row["code"]) not in told), "")
     unknown = any(tiles[name]["state"] == "unknown" for name in ("roof", "cistern", "pump"))
     worst = serious[0]["what"] if serious else ""
@@ -259,7 +269,7 @@ def _summarize(
         (store.mode == "ended", "The run has ended, and its last state is shown.", step),
         (store.runs_on, _WELDED, step),
         (pump["state"] == "alarm", "The pump may be running.", f"{_GO_AND_SEE} {step}".strip()),
-        ("alarm" in states, "The outlet valve may be open.", step),
+        ("alarm" in states, "The outlet valve may be open.", f"{_GO_AND_CLOSE} {step}".strip()),
         (worst, f"{worst}.", step),
         (True, now, step or (_UNKNOWN if unknown and not starting else "Nothing to do.")),
     )
