@@ -21,7 +21,7 @@ from shutil import which
 from typing import Any
 
 from greenroof_ros.base.text import clean_text, number_of
-from greenroof_ros.interface.alarm import advise
+from greenroof_ros.interface.alarm import Alarm, advise
 from greenroof_ros.interface.conditions import command_for
 from greenroof_ros.interface.states import PUMP, VALVE
 from greenroof_ros.ros.alarms import describe_alarm
@@ -53,6 +53,8 @@ _START = (
     "its options. If the pump is still turning, stop it at its drive's panel or at the main switch."
 )
 _GO_AND_SEE = "Go and see whether the pump is stopped. If not, use its panel or the main switch."
+# Alarms that the pump may be running, and that the valve may be open: of these roles and codes.
+_MAY_MOVE = (PUMP, "standstill_unknown"), (VALVE, "valve_may_be_open")
 _GO_AND_CLOSE = "Go and see whether the outlet valve is closed. If not, close it by hand."
 
 _LOCK_OUT = "Anyone working on the pump must lock it out at the pump itself."
@@ -82,8 +84,7 @@ def make_document(store: GraphStore, steady: float) -> dict[str, Any]:
     """
     with store.lock:
         store.steady = steady
-        tiles, stop = make_tiles(store), describe_stop(store)
-        rows = _list_alarms(store, tiles)
+        tiles, rows, stop = make_tiles(store), _list_alarms(store), describe_stop(store)
         summary, step = _summarize(store, tiles, rows)
         local = store.local(store.now)
         return {
@@ -189,22 +190,19 @@ def _write_dose(dose: Mapping[str, Any], flow: float | None) -> str:
 # --- alarms and events ----------------------------------------------------------------------------
 
 
-def _list_alarms(store: GraphStore, tiles: Mapping[str, Tile]) -> list[dict[str, Any]]:
-    """Return the present alarms as they are published, the most important one first.
+def _is_listed(alarm: Alarm) -> bool:
+    """Return whether an alarm is shown: not if it follows, unless the headline rests on it."""
+    return bool(alarm.number) and (not alarm.follows or (alarm.role, alarm.code) in _MAY_MOVE)
 
-    An alarm that follows from another one is left out, unless the sentence above the tiles rests on
-    it, as it does if the pump may be running or the valve may be open.
-    """
-    # The pump node comes first (without it, no one knows whether the pump runs), then its state.
+
+def _list_alarms(store: GraphStore) -> list[dict[str, Any]]:
+    """Return the present alarms as they are published, the most important one first."""
+    # The pump node comes first (without it, no one knows whether the pump runs), then its state,
+    # and what the headline rests on. A cause comes before its consequences.
     ranks = {(PUMP, ""): 0, (PUMP, PUMP): 1}
-    told = {(role, role) for role in (PUMP, VALVE) if tiles.get(role, {}).get("state") == "alarm"}
-    present = [
-        alarm for alarm in store.present
-        if alarm.number and (not alarm.follows or (alarm.role, alarm.part) in told)
-    ]
     followers = Counter(alarm.follows for alarm in store.present)
-    present.sort(key=lambda alarm: (
-        ranks.get((alarm.role, alarm.part), 3 - ((alarm.role, alarm.part) in told)),
+    present = sorted(filter(_is_listed, store.present), key=lambda alarm: (
+        ranks.get((alarm.role, alarm.part), 2), (alarm.role, alarm.code) not in _MAY_MOVE,
         not alarm.is_serious, -followers[alarm.name], -alarm.since,
     ))
     return [{
@@ -217,7 +215,7 @@ def _list_alarms(store: GraphStore, tiles: Mapping[str, Tile]) -> list[dict[str,
 
 def _list_events(store: GraphStore) -> list[dict[str, Any]]:
     """Return an event for each alarm, newest first."""
-    alarms = [alarm for alarm in store.alarms if alarm.number and not alarm.follows]
+    alarms = filter(_is_listed, store.alarms)
     return [{
         "at_text": store.time_text(alarm.since), "what": describe_alarm(alarm) + (
             "" if alarm.ended is None else f", until {store.time_text(alarm.ended)}"
@@ -254,7 +252,7 @@ def _summarize(
     if not known and gone is None:
         word = "Whether there are alarms is unknown"
     # The advice on the first alarm; of these, the box states more.
-    told = (PUMP, "hold"), (PUMP, "standstill_unknown"), (VALVE, "valve_may_be_open")
+    told = (PUMP, "hold"), *_MAY_MOVE
     step = next((row["do"] for row in rows if (row["role"], row["code"]) not in told), "")
     unknown = any(tiles[name]["state"] == "unknown" for name in ("roof", "cistern", "pump"))
     worst = serious[0]["what"] if serious else ""
@@ -271,7 +269,7 @@ def _summarize(
         (pump["state"] == "alarm", "The pump may be running.", f"{_GO_AND_SEE} {step}".strip()),
         ("alarm" in states, "The outlet valve may be open.", f"{_GO_AND_CLOSE} {step}".strip()),
         (worst, f"{worst}.", step),
-        (True, now, step or (_UNKNOWN if unknown and not starting else "Nothing to do.")),
+        (True, now, step or (_UNKNOWN if unknown and not starting else "No action is needed.")),
     )
     sentence, step = next((sentence, step) for case, sentence, step in cases if case)
     word = " ".join(filter(None, (word and f"{word}.", starting)))
@@ -289,7 +287,8 @@ def _advise(store: GraphStore, pump: Tile, step: str, stop: dict[str, Any]) -> s
         release = "If it may run again, release it with the button below."
     elif stop["stopped"] and (node := store.pump) is not None:
         command = complete_commands(command_for(node.name, "release"))
-        release = f"If it may run again, release it with: {command}"
+        who = store.site.contact and f"ask whoever can release it ({store.site.contact}), or "
+        release = f"If it may run again, {who or ''}release it with: {command}"
     said = [stop["hold"] or stop["dose"]["text"], step]
     said = said[::-1] if pump["state"] == "alarm" else said
     return " ".join(filter(None, (*said, release)))

@@ -150,7 +150,7 @@ class SimulatedSite:
         await asyncio.gather(*publishing)
 
     async def _mean_flow(self, due: float, ended: asyncio.Event) -> float:
-        """Return the pump's mean flow (m3/s) until a tick (s, `time.monotonic`) or the site ends."""
+        """Return the pump's mean flow (m3/s) until a time (s, `time.monotonic`) or the end."""
         pause, samples = max(self._site.tau / _POLLS, _MIN_PAUSE_S), list[tuple[float, float]]()
         while not samples or (time.monotonic() < due and not ended.is_set()):
             await asyncio.sleep(max(0.0, min(pause, due - time.monotonic())))
