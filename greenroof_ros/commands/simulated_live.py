@@ -30,7 +30,7 @@ from pathlib import Path
 
 import yaml
 
-from greenroof_ros.base.command_line import Parser, add_site, command
+from greenroof_ros.base.command_line import Parser, add_site, command, refuse
 from greenroof_ros.base.processes import child_environment, scratch_directory
 from greenroof_ros.commands.simulators import add_valve_fault
 from greenroof_ros.live.devices.drive_file import find_drive_file
@@ -40,6 +40,9 @@ from greenroof_ros.site.site import Site
 _DRIVE, _RELAY = "danfoss_fc202", "tasmota"
 # How full the cistern, and the roof relative to its target, are at the start: the roof is thirsty.
 _CISTERN, _ROOF = 0.6, 0.7
+# The broker accepts connections from this computer alone. If it is started by root, it stays root,
+# since another user would not end with this process.
+_BROKER = "listener {} 127.0.0.1\nallow_anonymous true\nuser root\n"
 # The tick of a live site (s).
 _TAU = 1.0
 
@@ -94,11 +97,12 @@ def main() -> None:
         sys.argv = ["greenroof live", *others, *common, *own]
         live_site.LiveSite(live_site.make_parser().parse_args())  # a mistake is found before
         if site.low_outlet_valve:
-            # It accepts connections from this computer alone, since it has no configuration.
-            path = f"{os.environ['PATH']}:/usr/sbin"
-            broker = shutil.which("mosquitto", path=path) or "mosquitto"
+            path, file = f"{os.environ['PATH']}:/usr/sbin", directory / "mosquitto.conf"
+            broker = shutil.which("mosquitto", path=path) or ""
+            refuse((not broker, "mosquitto", None, "is missing; a site with a valve needs it here"))
+            file.write_text(_BROKER.format(broker_port), encoding="utf-8")
             ends = ["setpriv", "--pdeathsig", "TERM"]  # it ends with this process
-            stack.enter_context(_run([*ends, broker, "-p", str(broker_port)], subprocess.DEVNULL))
+            stack.enter_context(_run([*ends, broker, "-c", str(file)], subprocess.DEVNULL))
         devices = stack.enter_context(_run(
             [sys.executable, "-m", "greenroof_ros", "simulators", "site", *common, *simulated],
         ))
