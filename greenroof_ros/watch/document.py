@@ -13,7 +13,6 @@ import math
 import os
 import re
 import sys
-from collections import Counter
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
@@ -198,12 +197,11 @@ def _is_listed(alarm: Alarm) -> bool:
 def _list_alarms(store: GraphStore) -> list[dict[str, Any]]:
     """Return the present alarms as they are published, the most important one first."""
     # The pump node comes first (without it, no one knows whether the pump runs), then its state,
-    # and what the headline rests on. A cause comes before its consequences.
+    # and what the headline rests on. What devices share comes before what else each may cause.
     ranks = {(PUMP, ""): 0, (PUMP, PUMP): 1}
-    followers = Counter(alarm.follows for alarm in store.present)
     present = sorted(filter(_is_listed, store.present), key=lambda alarm: (
         ranks.get((alarm.role, alarm.part), 2), (alarm.role, alarm.code) not in _MAY_MOVE,
-        not alarm.is_serious, -followers[alarm.name], -alarm.since,
+        not alarm.is_serious, alarm.code != "devices_lost", -alarm.since,
     ))
     return [{
         "id": alarm.name, "role": alarm.role, "code": alarm.code,
