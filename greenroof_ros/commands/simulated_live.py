@@ -3,7 +3,8 @@
 The command simulates the site's sensors and its drive, with a dry roof, and runs greenroof live on
 them. The roof is watered within a minute. No forecast is needed, and no broker, except mosquitto
 for the relay of a site with a valve; other options are passed to greenroof live, where those of the
-devices have no effect. Ctrl-C ends the site, and then its devices.
+devices have no effect. A longer tau is replaced by 1 s, which a live site requires. Ctrl-C ends the
+site, and then its devices.
 
 Examples:
   greenroof simulators live --watch
@@ -24,22 +25,26 @@ import threading
 from collections import deque
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import yaml
 
-from greenroof_ros.base.command_line import Parser, add_site, command
+from greenroof_ros.base.command_line import Parser, add_site, command, refuse
 from greenroof_ros.base.processes import child_environment, scratch_directory
 from greenroof_ros.commands.simulators import add_valve_fault
 from greenroof_ros.live.devices.drive_file import find_drive_file
-from greenroof_ros.site.file import read_site
+from greenroof_ros.site.file import format_site, read_site
 from greenroof_ros.site.site import Site
 
 _DRIVE, _RELAY = "danfoss_fc202", "tasmota"
 # How full the cistern, and the roof relative to its target, are at the start: the roof is thirsty.
 _CISTERN, _ROOF = 0.6, 0.7
-# Time for which the simulated devices may end (s).
-_ENDING_S = 5.0
+# The broker accepts connections from this computer alone. If it is started by root, it stays root,
+# since another user would not end with this process.
+_BROKER = "listener {} 127.0.0.1\nallow_anonymous true\nuser root\n"
+# The tick of a live site (s).
+_TAU = 1.0
 
 
 def make_parser() -> Parser:
@@ -64,9 +69,14 @@ def main() -> None:
     with ExitStack() as stack:
         directory = stack.enter_context(scratch_directory())
         drive_port, sensor_port, broker_port = _find_free_ports(3)
-        sensors = directory / "sensors.yaml"
+        sensors, site_file = directory / "sensors.yaml", arguments.site
+        if site.tau > _TAU:
+            print(f"tau of {site_file} is {site.tau:g} s; here it is {_TAU:g} s, as greenroof live "
+                  f"requires (tau: {_TAU})", flush=True)
+            site, site_file = replace(site, tau=_TAU), directory / site_file.name
+            site_file.write_text(format_site(site), encoding="utf-8")
         sensors.write_text(_describe_sensors(site, sensor_port), encoding="utf-8")
-        common = ["--site", str(arguments.site), "--sensors", str(sensors)]
+        common = ["--site", str(site_file), "--sensors", str(sensors)]
         cistern = _CISTERN * site.cistern_volume(site.z_o)
         simulated = [f"--cistern={cistern}", f"--roof={_ROOF * site.x2_star}"]
         own = ["--state", str(arguments.state)]
@@ -79,13 +89,20 @@ def main() -> None:
             own += ["--drive-at", at]
             simulated += ["--at", at]
         if site.low_outlet_valve:
-            # It accepts connections from this computer alone, since it has no configuration.
-            path = f"{os.environ['PATH']}:/usr/sbin"
-            broker = shutil.which("mosquitto", path=path) or "mosquitto"
-            stack.enter_context(_run([broker, "-p", str(broker_port)], subprocess.DEVNULL))
             common += ["--valve", _RELAY, "--valve-at", f"mqtt://127.0.0.1:{broker_port}/valve"]
         if arguments.valve_fault:
             simulated += ["--valve-fault", arguments.valve_fault]
+        from greenroof_ros.live import live_site
+
+        sys.argv = ["greenroof live", *others, *common, *own]
+        live_site.LiveSite(live_site.make_parser().parse_args())  # a mistake is found before
+        if site.low_outlet_valve:
+            path, file = f"{os.environ['PATH']}:/usr/sbin", directory / "mosquitto.conf"
+            broker = shutil.which("mosquitto", path=path) or ""
+            refuse((not broker, "mosquitto", None, "is missing; a site with a valve needs it here"))
+            file.write_text(_BROKER.format(broker_port), encoding="utf-8")
+            ends = ["setpriv", "--pdeathsig", "TERM"]  # it ends with this process
+            stack.enter_context(_run([*ends, broker, "-c", str(file)], subprocess.DEVNULL))
         devices = stack.enter_context(_run(
             [sys.executable, "-m", "greenroof_ros", "simulators", "site", *common, *simulated],
         ))
@@ -94,11 +111,8 @@ def main() -> None:
             # What they print later is not shown, but must not fill the pipe and stop them.
             threading.Thread(target=deque, args=(devices.stdout, 0), daemon=True).start()
             print(f"the simulated devices are process {devices.pid}", flush=True)
-            from greenroof_ros.live import live_site
-
-            sys.argv = ["greenroof live", *others, *common, *own]
             live_site.main()  # it exits
-        sys.exit(devices.wait(_ENDING_S))  # it has printed why it cannot start
+        sys.exit(devices.wait())  # it has printed why it cannot start
 
 
 @contextmanager
@@ -112,8 +126,8 @@ def _run(command: list[str], errors: int | None = None) -> Iterator[subprocess.P
     try:
         yield process
     finally:
-        process.terminate()
-        process.wait(_ENDING_S)
+        process.kill()  # at once: they have nothing to complete
+        process.wait()
 
 
 def _describe_sensors(site: Site, port: int) -> str:

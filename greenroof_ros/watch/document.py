@@ -20,7 +20,7 @@ from shutil import which
 from typing import Any
 
 from greenroof_ros.base.text import clean_text, number_of
-from greenroof_ros.interface.alarm import advise
+from greenroof_ros.interface.alarm import Alarm, advise
 from greenroof_ros.interface.conditions import command_for
 from greenroof_ros.interface.states import PUMP, VALVE
 from greenroof_ros.ros.alarms import describe_alarm
@@ -52,6 +52,9 @@ _START = (
     "its options. If the pump is still turning, stop it at its drive's panel or at the main switch."
 )
 _GO_AND_SEE = "Go and see whether the pump is stopped. If not, use its panel or the main switch."
+# Alarms that the pump may be running, and that the valve may be open: of these roles and codes.
+_MAY_MOVE = (PUMP, "standstill_unknown"), (VALVE, "valve_may_be_open")
+_GO_AND_CLOSE = "Go and see whether the outlet valve is closed. If not, close it by hand."
 
 _LOCK_OUT = "Anyone working on the pump must lock it out at the pump itself."
 _STOP = f"A stop holds the pump off until someone releases it. {_LOCK_OUT}"
@@ -186,16 +189,19 @@ def _write_dose(dose: Mapping[str, Any], flow: float | None) -> str:
 # --- alarms and events ----------------------------------------------------------------------------
 
 
-def _list_alarms(store: GraphStore) -> list[dict[str, Any]]:
-    """Return the present alarms as they are published, the most important one first.
+def _is_listed(alarm: Alarm) -> bool:
+    """Return whether an alarm is shown: not if it follows, unless the headline rests on it."""
+    return bool(alarm.number) and (not alarm.follows or (alarm.role, alarm.code) in _MAY_MOVE)
 
-    An alarm that follows from another one is left out.
-    """
-    # The pump node comes first (without it, no one knows whether the pump runs), then its state.
+
+def _list_alarms(store: GraphStore) -> list[dict[str, Any]]:
+    """Return the present alarms as they are published, the most important one first."""
+    # The pump node comes first (without it, no one knows whether the pump runs), then its state,
+    # and what the headline rests on. What devices share comes before what else each may cause.
     ranks = {(PUMP, ""): 0, (PUMP, PUMP): 1}
-    present = [alarm for alarm in store.present if alarm.number and not alarm.follows]
-    present.sort(key=lambda alarm: (
-        ranks.get((alarm.role, alarm.part), 2), not alarm.is_serious, -alarm.since
+    present = sorted(filter(_is_listed, store.present), key=lambda alarm: (
+        ranks.get((alarm.role, alarm.part), 2), (alarm.role, alarm.code) not in _MAY_MOVE,
+        not alarm.is_serious, alarm.code != "devices_lost", -alarm.since,
     ))
     return [{
         "id": alarm.name, "role": alarm.role, "code": alarm.code,
@@ -207,7 +213,7 @@ def _list_alarms(store: GraphStore) -> list[dict[str, Any]]:
 
 def _list_events(store: GraphStore) -> list[dict[str, Any]]:
     """Return an event for each alarm, newest first."""
-    alarms = [alarm for alarm in store.alarms if alarm.number and not alarm.follows]
+    alarms = filter(_is_listed, store.alarms)
     return [{
         "at_text": store.time_text(alarm.since), "what": describe_alarm(alarm) + (
             "" if alarm.ended is None else f", until {store.time_text(alarm.ended)}"
@@ -243,8 +249,8 @@ def _summarize(
     word = word or ("All is well" if level == "ok" else "")
     if not known and gone is None:
         word = "Whether there are alarms is unknown"
-    # The advice on the first alarm; of a held pump or one that may turn, the box states more.
-    told = (PUMP, "hold"), (PUMP, "standstill_unknown")
+    # The advice on the first alarm; of these, the box states more.
+    told = (PUMP, "hold"), *_MAY_MOVE
     step = next((row["do"] for row in rows if (row["role"], row["code"]) not in told), "")
     unknown = any(tiles[name]["state"] == "unknown" for name in ("roof", "cistern", "pump"))
     worst = serious[0]["what"] if serious else ""
@@ -259,9 +265,9 @@ def _summarize(
         (store.mode == "ended", "The run has ended, and its last state is shown.", step),
         (store.runs_on, _WELDED, step),
         (pump["state"] == "alarm", "The pump may be running.", f"{_GO_AND_SEE} {step}".strip()),
-        ("alarm" in states, "The outlet valve may be open.", step),
+        ("alarm" in states, "The outlet valve may be open.", f"{_GO_AND_CLOSE} {step}".strip()),
         (worst, f"{worst}.", step),
-        (True, now, step or (_UNKNOWN if unknown and not starting else "Nothing to do.")),
+        (True, now, step or (_UNKNOWN if unknown and not starting else "No action is needed.")),
     )
     sentence, step = next((sentence, step) for case, sentence, step in cases if case)
     word = " ".join(filter(None, (word and f"{word}.", starting)))
@@ -279,7 +285,8 @@ def _advise(store: GraphStore, pump: Tile, step: str, stop: dict[str, Any]) -> s
         release = "If it may run again, release it with the button below."
     elif stop["stopped"] and (node := store.pump) is not None:
         command = complete_commands(command_for(node.name, "release"))
-        release = f"If it may run again, release it with: {command}"
+        who = store.site.contact and f"ask whoever can release it ({store.site.contact}), or "
+        release = f"If it may run again, {who or ''}release it with: {command}"
     said = [stop["hold"] or stop["dose"]["text"], step]
     said = said[::-1] if pump["state"] == "alarm" else said
     return " ".join(filter(None, (*said, release)))

@@ -204,8 +204,11 @@ def test_a_disk_or_a_terminal_that_hangs_stops_no_pump(
 
 @pytest.mark.graph
 def test_a_new_site_is_watered_within_a_minute(domain: int, tmp_path: Path) -> None:
-    """Neither a broker nor a forecast is needed, and Ctrl-C leaves no process behind."""
-    shutil.copy(CONFIG / "site.yaml", tmp_path / "my_site.yaml")
+    """Neither a broker nor a forecast is needed, and Ctrl-C leaves no process behind.
+
+    The tick of a new site is 60 s.
+    """
+    (tmp_path / "my_site.yaml").write_text("extends: site.yaml\ntau: 60.0\n")
     site = Process(
         domain, "simulators live", "--site", "my_site.yaml", "--state", "run", cwd=tmp_path
     )

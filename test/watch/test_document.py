@@ -269,14 +269,40 @@ def test_alarms_have_an_order_and_what_follows_is_not_listed() -> None:
     document = shown(graph)
     assert [(row["level"], row["id"]) for row in document["alarms"]] == [
         ("warn", "/pump: pump"), ("error", "/mpc"), ("error", "/recorder: recording"),
-        ("warn", "/weather: rain gauge"), ("warn", "/alarms: broker"),
+        ("warn", "/alarms: broker"), ("warn", "/weather: rain gauge"),
     ]
     assert document["tiles"]["summary"]["text"].startswith("2 alarms, 3 warnings. ")
     assert read_conditions()["node_silent"].advise("/mpc", "controller") in document["advice"]
-    assert document["advice"].endswith("release it with: greenroof release")
+    assert document["advice"].endswith("again, release it with: greenroof release")
+    graph.site = replace(SITE, contact="Ann, 0123")
+    assert "again, ask whoever can release it (Ann, 0123), or release" in shown(graph)["advice"]
     assert len(document["notes"]) == 2  # what is still missing, and whose forecast it is
     times = [event["at_text"] for event in document["events"]]
     assert (len(times), times[0], times[-1]) == (6, "00:00", "19 Jul 00:00")
+
+
+def test_the_alarm_of_the_headline_comes_first_then_the_shared_cause() -> None:
+    """After a cut cable; the pump's and the valve's are listed, although they follow."""
+    late = "2021-07-20T05:00:50+00:00"
+    cold = alarm("/weather: temperature", "weather", "temperature_unknown", "cold?", since=late)
+    relay = alarm("/valve: drive", "valve", "drive_lost", "no answer", since=late)
+    may_open = alarm("/valve: valve", "valve", "valve_may_be_open", "", follows="/valve: drive")
+    levels = UNREAD._replace(values={**UNREAD.values, "follows": BROKER.name})
+    site = cold, relay, BROKER, levels, may_open
+    for alarms, said, first in (
+        ((*site, FOLLOWS), {**TURNING, "hold": HOLD}, [FOLLOWS.name]), (site, AT_REST, []),
+    ):
+        graph = watched("live", *alarms)
+        pump_says(graph, 100.0, "off: why", **said)
+        graph.add_statuses(100.0, 0, valve("held: lost", **TURNING))
+        document = shown(graph)
+        assert [row["id"] for row in document["alarms"]][:-2] == [
+            *first, may_open.name, BROKER.name
+        ]
+        assert len(document["events"]) == len(document["alarms"]) == 4 + len(first)
+        place = "the pump is stopped" if first else "the outlet valve is closed"
+        assert document["advice"].startswith(f"Go and see whether {place}. If not, ")
+        assert read_conditions()["devices_lost"].advice in document["advice"]
 
 
 def test_old_alarms_mean_that_the_sites_program_no_longer_runs() -> None:

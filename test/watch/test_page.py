@@ -199,7 +199,7 @@ def test_stop_asks_once_and_no_answer_is_older_than_the_state(open_page: Open) -
     say(watched, turns, *pump("held: a hold", at_rest=False, hold=HOLD))
     until_shown(page, "#box:not(.failed)", "stop it at its drive's panel")
     say(watched, *pump("held: a hold", at_rest=True, hold=HOLD))
-    until_shown(page, "#stop-button:enabled", "Keep the pump off")
+    until_shown(page, "#stop-button:enabled:not(.danger)", "The pump is already held off")
 
 
 def test_with_its_token_it_releases_and_gives_a_dose_after_a_question(open_page: Open) -> None:

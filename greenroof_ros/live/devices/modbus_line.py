@@ -39,6 +39,8 @@ logging.getLogger("pymodbus").addHandler(logging.NullHandler())
 
 # The code of the function that writes a single register.
 _WRITE = 6
+# What to do about an exception of the device itself, rather than of its gateway (section 7).
+_REMARKS = {2: ": the device answers, but has no such register; check its drive or sensor file"}
 
 
 # --- addresses of devices -------------------------------------------------------------------------
@@ -285,7 +287,9 @@ class ModbusLine:
             )
             raise self.error("connection", f"{action}: {problem}") from error
         if answer.isError():
-            raise self.error("answer", f"{action}: rejected with exception {answer.exception_code}")
+            code = answer.exception_code
+            why = f"rejected with exception {code}{_REMARKS.get(code, '')}"
+            raise self.error("answer", f"{action}: {why}")
         registers = list(answer.registers)
         fits = (answer.address, *registers) == values if function == _WRITE else (
             len(registers) == options["count"] and self._frames[True] not in self._frames[False]

@@ -280,7 +280,7 @@ class PumpControl:
         elif turning and state == "off":
             state = "stopping"
         elif turning and active:
-            why += "; the pump is still turning"
+            why += "; the pump is still turning: look again in some seconds"
         if at_rest and flow is None:
             flow = 0.0
         return Decision(active, state, why, at_rest, speed, flow, request)

@@ -144,14 +144,15 @@ class SimulatedSite:
         ]
         started_at = time.monotonic()
         while not ended.is_set():
-            flow = await self._mean_flow(started_at + (self.virtual_site.tick + 1) * self._site.tau)
+            due = started_at + (self.virtual_site.tick + 1) * self._site.tau
+            flow = await self._mean_flow(due, ended)
             self.step(flow)
         await asyncio.gather(*publishing)
 
-    async def _mean_flow(self, due: float) -> float:
-        """Return the pump's mean flow (m3/s) until a tick ends (s, `time.monotonic`)."""
+    async def _mean_flow(self, due: float, ended: asyncio.Event) -> float:
+        """Return the pump's mean flow (m3/s) until a time (s, `time.monotonic`) or the end."""
         pause, samples = max(self._site.tau / _POLLS, _MIN_PAUSE_S), list[tuple[float, float]]()
-        while not samples or time.monotonic() < due:
+        while not samples or (time.monotonic() < due and not ended.is_set()):
             await asyncio.sleep(max(0.0, min(pause, due - time.monotonic())))
             opening = 1.0 if self._valve is None else self._valve.advance()
             samples.append((self.flow(self._speed()), opening))

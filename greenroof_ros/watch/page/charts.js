@@ -15,6 +15,7 @@ const CHARTS = [
     ["rain", "rain", "--rain"], ["rain_forecast", "rain forecast", "--rain", [6, 4]],
   ] },
 ];
+const DASHES = { 6: "dashed", 1: "dotted" }; // in the legend, by the length of a line's dashes
 const FONT = "12px Arial, Helvetica, sans-serif";
 
 export const plots = [];
@@ -62,6 +63,7 @@ const options = (chart, width) => {
         value: (_, value) => (value == null ? "" : `${value.toFixed(display[quantity(name)].decimals)} ${display[quantity(name)].unit}`),
       })),
     ],
+    legend: { markers: { dash: (_, i) => DASHES[chart.lines[i - 1]?.[3]?.[0]] ?? "solid" } },
     cursor: {
       y: false, points: { show: false }, sync: { key: "charts", setSeries: false }, drag: { setScale: false },
       // Of each line, the value at the pointer is its last one before, as lines have values at different times.

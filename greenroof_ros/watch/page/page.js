@@ -84,7 +84,8 @@ const showEvents = ({ events }) => fill("events", events, ({ at_text: at, what }
 
 const showStop = ({ mode, stop }) => {
   byId("stop").hidden = !stop.possible && (mode !== "live" || !stop.needed);
-  setText("stop-button", stop.label);
+  setText("stop-button", stop.stopped ? "The pump is already held off" : stop.label);
+  byId("stop-button").classList.toggle("danger", !stop.stopped);
   for (const name of BUTTONS.slice(1)) byId(`${name}-button`).hidden = !(name in stop.actions);
   byId("dose").hidden = !("dose" in stop.actions);
   const { min, max, refusal } = stop.dose;

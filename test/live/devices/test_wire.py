@@ -178,7 +178,10 @@ def test_own_timeout(name: str, dialogue: str, expected: float | None) -> None:
     ("abb_acs880", "0003? 1238, 0190? 6681", run, "drive", "fault: EFB communication loss"),
     # A refused step does not keep the next one from being written.
     ("abb_acs880", "0000= 047E ! 06, 0001= 0000", Drive.stop, "answer",
-     "writing 0x047E to register 0: rejected with exc"),
+     "writing 0x047E to register 0: rejected with exception 6$"),
+    # 2 is an illegal data address (Modbus Application Protocol V1.1b3, section 7).
+    ("abb_acs880", "0003? 0000 ! 02", Drive.read, "answer",
+     "register 3: rejected with exception 2: the device answers, but has no such register; check"),
     ("abb_acs880", "0003? 1337, 0004? 7FFF", Drive.read, "answer",
      r"register 400005\) is 32767: 1.63835; plau"),
     # With a rated speed of 1 rpm, any speed would be the minimum. RFRD is 750.

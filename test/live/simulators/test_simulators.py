@@ -59,6 +59,14 @@ def test_with_the_driver_every_make_runs_and_stops_also_by_its_own_timeout(
     assert f"communication timeout: silence for {timeout} s" in drive.output
 
 
+def test_a_mistake_in_a_trial_is_found_before_its_devices_start(tmp_path: Path) -> None:
+    """In one line, without a traceback."""
+    ended = run_command("simulators live", "--forecast", "f.txt", cwd=tmp_path,
+                        env=environment(0))
+    assert (ended.returncode, "process" in ended.stdout) == (2, False)
+    assert "must be a FILE.csv" in ended.stderr and ended.stderr.count("\n") == 1
+
+
 def test_a_drive_whose_program_has_died_is_stopped(tmp_path: Path) -> None:
     file = guarding("abb_acs880", tmp_path)
     command = "stop-drive", "--drive", file, "--drive-at"
