@@ -242,7 +242,6 @@ def test_colcon_build_lays_everything_and_its_executables(tmp_path):
     )
     # colcon also ends with 0 if it found nothing to build.
     assert (tmp_path / "install" / "setup.bash").is_file(), built
-    assert "doesn't explicitly install" not in built  # the marker, package.xml
     shutil.rmtree(tmp_path / "src")
     shutil.rmtree(tmp_path / "build")
     path = tmp_path / "install" / "greenroof_ros"
@@ -310,7 +309,6 @@ def test_the_files_agree_on_name_version_and_licence(manifest, setup_options):
     # REP 132: a version, then its date in parentheses, underlined; the newest comes first.
     heading = r"^(\S+) \((?:forthcoming|\d{4}-\d\d-\d\d)\)\n-{5,}$"
     newest = re.search(heading, changelog, re.MULTILINE)
-    assert newest
     citation = yaml.safe_load((CHECKOUT / "CITATION.cff").read_text(encoding="utf-8"))
     versions = {manifest.version, setup_options["version"], newest[1], citation["version"]}
     assert versions == {greenroof_ros.__version__}
@@ -338,9 +336,6 @@ def test_package_xml_names_every_requirement(manifest, setup_options):
     assert {depend.name for depend in manifest.exec_depends} == keys | ros
     topics = yaml.safe_load((CHECKOUT / "msg_defs" / "topics.yaml").read_text(encoding="utf-8"))
     assert {topic["type"].split("/")[0] for topic in topics["topics"].values()} <= ros
-    tests = {f"python3-{distribution(text)}" for text in extras["test"]}
-    needed = {depend.name for depend in manifest.test_depends}
-    assert {"python3-pytest", "python3-hypothesis"} <= needed <= tests
 
 
 def test_executables_can_be_called():

@@ -40,28 +40,22 @@ def of_command(directory: Path, *options: str) -> dict[str, object]:
     return dict(json.loads(done.stdout))
 
 
-@pytest.mark.parametrize(("controller", "inputs", "options"), [
-    ("mpc", {"weight": 0.00001, "initial": "high-low"},
-     ("--weight", "0.00001", "--initial", "high-low")),
-    ("lookahead", {
-        "horizon": 12, "forecast": "errors", "forecast_seed": np.int64(3),
-        "forecast_skill": "none", "start": datetime.fromisoformat("2021-07-08T05:00"),
-        "initial": (60.0, 2.0), "evapotranspiration": "fao56",
-        "site": CONFIG / "site_neubrandenburg.yaml", "roof_noise": np.float32(0.25),
-        "noise_seed": 3, "roof_offset": -0.01, "pump_min_on": 60, "pump_min_off": np.int64(90),
-     }, ("--horizon", "12", "--forecast", "errors", "--forecast-seed", "3", "--forecast-skill",
-         "none", "--start", "2021-07-08T05:00", "--cistern", "60", "--roof", "2",
-         "--evapotranspiration", "fao56", "--site", str(CONFIG / "site_neubrandenburg.yaml"),
-         "--roof-noise", "0.25", "--noise-seed", "3", "--roof-offset", "-0.01", "--pump-min-on",
-         "60", "--pump-min-off", "90")),
-])
-def test_the_numbers_are_the_commands(
-    tmp_path: Path, controller: str, inputs: dict[str, object], options: tuple[str, ...]
-) -> None:
+def test_the_numbers_are_the_commands(tmp_path: Path) -> None:
     """Summary and trajectory, digit for digit."""
-    given = ("--controller", controller, "--hours", "0.3", *options)
-    expected = of_command(tmp_path, "--trajectory", *given)
-    result = gr.simulate(controller, hours=0.3, **inputs)  # type: ignore[arg-type]
+    site = CONFIG / "site_neubrandenburg.yaml"
+    expected = of_command(
+        tmp_path, "--trajectory", "--controller", "lookahead", "--hours", "0.3", "--horizon", "12",
+        "--forecast", "errors", "--forecast-seed", "3", "--forecast-skill", "none",
+        "--start", "2021-07-08T05:00", "--cistern", "60", "--roof", "2", "--site", str(site),
+        "--evapotranspiration", "fao56", "--roof-noise", "0.25", "--noise-seed", "3",
+        "--roof-offset", "-0.01", "--pump-min-on", "60", "--pump-min-off", "90",
+    )
+    result = gr.simulate(
+        "lookahead", hours=0.3, horizon=12, forecast="errors", forecast_seed=np.int64(3),
+        forecast_skill="none", start=datetime.fromisoformat("2021-07-08T05:00"),
+        initial=(60.0, 2.0), site=site, evapotranspiration="fao56", roof_noise=np.float32(0.25),
+        noise_seed=3, roof_offset=-0.01, pump_min_on=60, pump_min_off=np.int64(90),
+    )
     ours = json.loads(json.dumps(result.summary))
     assert {key for key in expected if ours[key] != expected[key]} <= OTHER
     assert result.metrics.items() <= expected.items()
@@ -88,8 +82,6 @@ def test_every_kind_of_controller() -> None:
         result = gr.simulate(other, hours=1)
         assert result.metrics == named.metrics
         assert result.trajectory.equals(named.trajectory)
-    assert gr.simulate(OnOff, hours=1).summary["controller_reference"] == "onoff"
-    assert result.summary["controller"] == "by_levels"
 
 
 def test_what_a_function_gets() -> None:
@@ -144,7 +136,7 @@ def test_weather_in_a_data_frame(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("way", [gr.simulate, gr.Environment])
 def test_what_the_command_notes_is_a_warning(way: Callable[..., Any]) -> None:
-    """Once, at the line here, in words that Python has."""
+    """Once, at the line here, without an option of a command."""
     sydney = gr.read_site(latitude=-33.87, longitude=151.21)
     with pytest.warns(UserWarning, match="km from") as shown:
         way(site=sydney, hours=0.01)
@@ -162,36 +154,6 @@ def test_a_trajectory_of_some_ticks(every: float | None, kept: Sequence[int]) ->
     result = gr.simulate("onoff", hours=0.01, trajectory_every=every)
     assert result.trajectory.equals(whole.trajectory[list(kept)])
     assert result.metrics == whole.metrics
-
-
-def test_the_drainage_layer_of_a_saved_run(tmp_path: Path) -> None:
-    inputs = {"site": CONFIG / "site_neubrandenburg.yaml", "start": "2021-07-08T10:00", "hours": 2}
-    result = gr.simulate("onoff", **inputs)
-    assert gr.read_bag(result.save(tmp_path / "run")).equals(result.trajectory)
-    layer = result.trajectory["drainage_layer_m3"]
-    assert layer[-1] == result.metrics["final_layer_m3"] > layer[0]
-
-
-WITHOUT_NUMBA = """
-import sys, warnings
-sys.modules["numba"] = None
-import greenroof_ros as gr
-warnings.simplefilter("ignore")
-gr.simulate("onoff", hours=1)
-long = {"site": gr.read_site(tau=60.0, M=1), "start": "2021-05-01T00:00", "gaps": "fill"}
-for _ in range(2):
-    gr.simulate("onoff", hours=1667, weather=sys.argv[1], trajectory_every=3600, **long)
-"""
-
-
-def test_a_long_run_without_numba_says_once_what_to_install() -> None:
-    """100,020 ticks of a minute; a short run says nothing."""
-    done = subprocess.run(
-        [sys.executable, "-c", WITHOUT_NUMBA, str(CONFIG / "weather" / "toronto_2021.csv")],
-        capture_output=True, text=True, check=True,
-    )
-    (line,) = done.stderr.splitlines()
-    assert line.startswith("note: numba ") and line.endswith("pip install 'greenroof_ros[study]'")
 
 
 def test_what_is_a_command() -> None:
@@ -230,7 +192,6 @@ def test_numbers_of_numpy(tmp_path: Path) -> None:
     )
     assert result.metrics == plain.metrics
     directory = result.save(tmp_path / "run")
-    assert "np." not in (directory / "configuration" / "site.yaml").read_text()
     assert gr.read_site(directory / "configuration" / "site.yaml") == plain.run.site
 
 
@@ -277,55 +238,35 @@ def test_sites(tmp_path: Path) -> None:
     assert expected.run.site.x2_star == pytest.approx(68.8 * 0.04)
     for site in (gr.read_site(tmp_path / "low.yaml"), gr.read_site(z_veg=0.04)):
         assert gr.simulate("onoff", site=site, hours=1).metrics == expected.metrics
-    assert gr.read_site(time_zone="America/Toronto").time_zone == "America/Toronto"
-    refusal(lambda: gr.read_site(z_vegg=0.04), match="did you mean z_veg")
 
 
 @pytest.mark.parametrize(("inputs", "reason"), [
-    ({"hour": 3}, "hour = 3: is neither an input nor a parameter of onoff; did you mean hours"),
-    ({"hours": np.bool_(True)}, "hours = .*: must be a number"),
-    ({"site": 3}, "3: cannot be read: No such file"),
-    ({"weather": 3}, "weather = 3: must be a file name, .*, or a polars or pandas data frame"),
-    ({"forecast": 3}, "forecast = '3': must be one of perfect, errors, ensemble, or forecasts: a"),
-    ({"initial": (60.0,)}, "initial = .*: must be one of low-low.* or the volumes in the cistern"),
-    ({"controller": object}, "is not a controller: it lacks parameters, command"),
+    ({"hour": 3}, "hour = 3: .*did you mean hours"),
+    ({"hours": np.bool_(True)}, "hours = "), ({"weather": 3}, "weather = 3"),
+    ({"initial": (60.0,)}, "initial = "), ({"controller": object}, "is not a controller"),
 ])
 def test_what_is_wrong_is_named(inputs: dict[str, object], reason: str) -> None:
     refusal(lambda: gr.simulate(**inputs), match=reason)  # type: ignore[arg-type]
 
 
-def test_a_function_is_not_sent_to_the_check_of_classes() -> None:
-    """``check-controller`` takes no function; the line of the function is named."""
-    message = refusal(lambda: gr.simulate(lambda state, forecast: -8.6e-8, hours=0.1))
-    assert "test_simulate.py, line " in message and "= -8.6e-08: must be" in message
-    assert "check-controller" not in message
-
-
 def test_a_saved_run_is_read_by_the_report(tmp_path: Path) -> None:
     """As the directory of a run, with its trajectory; nothing is overwritten."""
-    result = gr.simulate("onoff", level=0.9, hours=1)
+    result = gr.simulate(
+        "onoff", level=0.9, site=CONFIG / "site_neubrandenburg.yaml", start="2021-07-08T10:00",
+        hours=2,
+    )
     assert result.save(tmp_path / "mine") == tmp_path / "mine"
     refusal(result.save, tmp_path / "mine", match="never overwrites")
-    sources = find_runs([tmp_path / "mine"])
-    (run,) = sources.runs
-    assert "onoff, fraction 1.0, level 0.9" in sources.read[0]
+    (run,) = find_runs([tmp_path / "mine"]).runs
     assert run.row["total_deviation_m3"] == result.metrics["total_deviation_m3"]
     trajectory = run.trajectory()
     assert trajectory is not None
     assert trajectory.roof.tolist() == result.trajectory["roof_m3"].to_list()
     assert gr.read_bag(tmp_path / "mine").equals(result.trajectory)
+    layer = result.trajectory["drainage_layer_m3"]
+    assert layer[-1] == result.metrics["final_layer_m3"] > layer[0]
     (tmp_path / "mine" / "trajectory.parquet").unlink()
-    refusal(gr.read_bag, tmp_path / "mine", match="mine: contains only results")
-
-
-def test_the_commands_run_is_read_by_the_report(tmp_path: Path) -> None:
-    """With its results, and its trajectory, digit for digit."""
-    of_command(tmp_path, "--controller", "onoff", "--hours", "0.3", "--trajectory-every", "10")
-    expected = gr.simulate("onoff", hours=0.3)
-    (run,) = find_runs([tmp_path / "out"]).runs
-    assert run.row["total_deviation_m3"] == expected.metrics["total_deviation_m3"]
-    assert (run.row["initial"], run.row["window"][-7:]) == ("low-low", ", 0.3 h")
-    assert gr.read_bag(tmp_path / "out").equals(expected.trajectory[::10])
+    refusal(gr.read_bag, tmp_path / "mine")
 
 
 def test_a_bag_has_the_same_trajectory(recorded: Path) -> None:
@@ -348,8 +289,5 @@ def test_importing_it_loads_nothing() -> None:
         [sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=CHECKOUT
     )
     assert done.stdout == "['greenroof_ros']\n"
-    assert set(gr.__all__) <= set(dir(gr))
     for name in set(gr.__all__) - {"scenarios"}:
         assert getattr(gr, name).__name__ == name
-    with pytest.raises(AttributeError, match="has no attribute 'simulat'"):
-        _ = gr.simulat

@@ -166,37 +166,27 @@ def test_unsolved_program_pumps_nothing(
         patch.setitem(module._SOLVER_SETTINGS, "max_iter", 1)
         mpc = Mpc(PAPER_SITE, 1e-3, math.inf)
     for fallbacks in (1, 2, 3):
-        caplog.clear()
         assert mpc.command(*first_inputs()) == 0.0
         assert mpc.fallbacks == fallbacks
         assert math.isnan(mpc.cost)
         assert mpc.status != 1
-        (record,) = caplog.records
-        assert record.levelno == logging.WARNING
-        assert "falling back" in record.getMessage()
+    assert [record.levelno for record in caplog.records] == [logging.WARNING] * 3
 
 
 @pytest.mark.parametrize(
     ("bad", "index"), [(math.nan, 0), (math.inf, 1), (math.nan, 2), (math.inf, 3)]
 )
-def test_what_is_no_number_pumps_nothing(
-    bad: float, index: int, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_what_is_no_number_pumps_nothing(bad: float, index: int) -> None:
     """A NaN level, or a NaN at a forecast's end: 0 for that tick; the next is exact again."""
     mpc = Mpc(PAPER_SITE, 1e-3, math.inf)
     good = first_inputs()
     spoilt: list[Any] = list(good)
     spoilt[index] = bad if index < 2 else [*spoilt[index][:-1], bad]
     assert mpc.command(*good) > 0.01
-    assert not caplog.records
     assert mpc.command(*spoilt) == 0.0
     assert mpc.fallbacks == 1
-    assert [record.levelno for record in caplog.records] == [logging.WARNING]
-    assert "the prediction is not finite" in caplog.text
     assert math.isnan(mpc.cost)
     assert mpc.status != 1
     expected = exact_first_command(PAPER_SITE, good, 1e-3)
     assert mpc.command(*good) == pytest.approx(expected, abs=1e-8)
     assert (mpc.status, mpc.fallbacks) == (1, 1)
-    assert math.isfinite(mpc.cost)
-    assert mpc.solve_seconds.count == 3
