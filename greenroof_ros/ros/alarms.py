@@ -244,8 +244,11 @@ def _rank(diagnosis: StatusDiagnosis, cause: StatusDiagnosis, senders: set[str])
         not part and not cause.part and {cause.node.rpartition("/")[2], cause.role} & about,
         cause.role in senders and not cause.part,
         cause.role in senders and cause.part != _INPUTS,
-        # Of an interlock, another node may know more, such as the temperature in frost.
-        reports_more and (own if interlock is None else part == PUMP or not own),
+        # Of an interlock, another node may know more, such as the temperature in frost, but not
+        # about the node's own device.
+        reports_more and (
+            own if interlock is None else part == PUMP if own else not cause.condition.device
+        ),
         # A part of the pump node that stops the pump because of that input knows more about it.
         part == _INPUTS and cause.role == PUMP and cause.part != _INPUTS
         and not about.isdisjoint(cause.about),
