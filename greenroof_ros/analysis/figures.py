@@ -140,7 +140,7 @@ def draw_band(
     axis = alt.Axis(format=form) if form else alt.Axis()
     low, high = (name + end for end in ends)
     return alt.layer(
-        base.mark_area(opacity=0.15, strokeOpacity=0).encode(
+        base.mark_area(opacity=0.08, strokeOpacity=0).encode(
             y=alt.Y(f"{low}:Q", title=None, axis=axis), y2=alt.Y2(f"{high}:Q")
         ),
         base.mark_line(strokeWidth=2, point=True).encode(
