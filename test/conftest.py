@@ -31,7 +31,8 @@ settings.load_profile("greenroof_ros")
 # Names of the longest tests and files: they start first, so the workers end together.
 LONGEST = (
     "test_fidelity.py", "test_packaging.py", "test_faults.py", "test_live_bringup.py",
-    "test_node_checks.py", "test_calibrate.py", "test_fit.py",
+    "test_external_pump_node.py", "test_beside_a_run.py", "test_compiled.py", "test_node_checks.py",
+    "test_calibrate.py", "test_fit.py",
     "test_scenario_environments.py", "test_error_model.py", "test_report_page.py", "test_report.py",
 )
 

@@ -1,8 +1,9 @@
-"""A test node in a real graph, which listens, publishes and calls services; and other nodes."""
+"""Nodes of the tests in a real graph, which listen, publish and call services; and other nodes."""
 
 from __future__ import annotations
 
 import json
+import os
 import re
 import signal
 import socket
@@ -22,11 +23,13 @@ from graphs import environment, wait_for
 from places import CONFIG
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
 
 from greenroof_ros.base.errors import MalformedMessageError
 from greenroof_ros.base.files import read_yaml
 from greenroof_ros.interface.conditions import read_conditions
 from greenroof_ros.interface.topics import read_live_topics, read_topics
+from greenroof_ros.ros.domain import prepare_ros
 from greenroof_ros.ros.messages import deserialize, message_class, qos_profile
 
 OK, WARN, ERROR, STALE = b"\x00", b"\x01", b"\x02", b"\x03"
@@ -307,3 +310,36 @@ def write_forecast(
     draft = path.with_suffix(".new")
     draft.write_text("\n".join([FORECAST_HEADER, *lines, ""]))
     draft.replace(path)
+
+
+# --- nodes inside the tests' process, in a separate domain ----------------------------------------
+
+
+@contextmanager
+def in_domain(domain: int) -> Iterator[None]:
+    """Set the environment that nodes of this process need, and restore it afterwards."""
+    before = dict(os.environ)
+    os.environ["ROS_DOMAIN_ID"] = str(domain)
+    os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+    try:
+        yield
+    finally:
+        os.environ.clear()
+        os.environ.update(before)
+
+
+class Peer:
+    """A foreign node that publishes and offers services."""
+
+    def __init__(self, domain: int, name: str, namespace: str = "") -> None:
+        self.context = rclpy.Context()
+        prepare_ros()
+        rclpy.init(
+            args=[], context=self.context, domain_id=domain,
+            signal_handler_options=SignalHandlerOptions.NO,
+        )
+        self.node = Node(name, namespace=namespace or None, context=self.context)
+
+    def close(self) -> None:
+        self.node.destroy_node()
+        self.context.try_shutdown()

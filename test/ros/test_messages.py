@@ -14,13 +14,13 @@ from typing import Any
 import numpy as np
 import pytest
 from graphs import wait_for
-from peers import Peer, in_domain
 
 rclpy = pytest.importorskip("rclpy", reason="the message types come with ROS 2")
 
 from builtin_interfaces.msg import Time  # noqa: E402
 from rclpy.duration import Duration  # noqa: E402
 from rclpy.serialization import deserialize_message, serialize_message  # noqa: E402
+from ros_rig import Peer, in_domain  # noqa: E402
 from rosgraph_msgs.msg import Clock  # noqa: E402
 from std_msgs.msg import (  # noqa: E402
     Float64,

@@ -15,13 +15,13 @@ import pytest
 from graphs import Process, bag_file, bring_up, wait_for
 from mcap.reader import make_reader
 from page_inputs import read_state
-from peers import in_domain
 from test_watch_command import child_of, end, refuses_other_addresses, watcher
 
 pytest.importorskip("foxglove", reason="serves Foxglove")
 pytest.importorskip("rclpy", reason="nodes need ROS 2")
 
 import aiohttp
+from ros_rig import in_domain
 
 from greenroof_ros.ros.messages import decoder
 from greenroof_ros.watch.feed import Feed

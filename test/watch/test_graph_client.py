@@ -8,13 +8,13 @@ from typing import Any
 
 import pytest
 from graphs import wait_for
-from peers import Peer, in_domain
 
 pytest.importorskip("rclpy", reason="the graph needs ROS 2")
 
 from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import parameter_value_to_python
+from ros_rig import Peer, in_domain
 
 from greenroof_ros.watch.graph_client import GraphClient, RequestError
 
