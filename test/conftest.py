@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import pytest
 from graphs import Process, bring_up, reserved_domain
 from hypothesis import settings
-from places import CONFIG, DATA, Once
+from places import CONFIG, Once
 from studies import study
 
 from greenroof_ros.controllers.registry import find_controller
@@ -42,8 +42,8 @@ def pytest_sessionstart(session: pytest.Session) -> None:
     if getattr(session.config.option, "numprocesses", None) and can_compile():
         simulate(make_inputs(find_controller("onoff"), {
             "site": read_site(CONFIG / "site_valve.yaml", {"tau": 60.0}), "outlet": "plan",
-            "weather": str(DATA / "en_climate_hourly_07-2021.csv"), "start": "2021-07-01T00:00",
-            "hours": 350,
+            "weather": str(CONFIG / "weather" / "toronto_2021.csv"), "gaps": "fill",
+            "start": "2021-07-01T00:00", "hours": 350,
         }).build())
 
 

@@ -10,6 +10,7 @@ from places import CHECKOUT
 from studies import GRID, cases_of
 
 from greenroof_ros.analysis.case import identify_code
+from greenroof_ros.controllers.registry import find_controller
 
 # What changes, and whether it is code of the controller: its module, and what it imports.
 CHANGED = {
@@ -49,3 +50,18 @@ def test_another_state_of_its_code_is_another_run(
             del sys.modules[name]
     assert identities[0] == identities[1]
     assert (identities[0] != after) == CHANGED[changed]
+
+
+def test_code_in_a_folder_without_init(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What it imports from there counts, too."""
+    monkeypatch.syspath_prepend(tmp_path)
+    (tmp_path / "plain_folder").mkdir()
+    gain, controller = (tmp_path / "plain_folder" / f"{name}.py" for name in ("gain", "own"))
+    code = (CHECKOUT / "examples" / "proportional.py").read_text()
+    controller.write_text(code + "\nfrom plain_folder import gain\n")
+    found = set[str]()
+    for text in ("A = 1\n", "A = 2\n"):
+        gain.write_text(text)
+        identify_code.cache_clear()
+        found.add(identify_code(find_controller("plain_folder.own:Proportional")))
+    assert len(found) == 2

@@ -14,6 +14,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from datetime import datetime, timedelta
+from importlib.machinery import PathFinder
 from importlib.metadata import packages_distributions
 from modulefinder import ModuleFinder
 from pathlib import Path
@@ -190,6 +191,26 @@ def compute_bounds(directory: Path, case: Case, show: Sequence[str]) -> dict[str
     return bounds
 
 
+_FOLDER = "", "", -1
+
+
+class _Finder(ModuleFinder):
+    """Finds the modules that a module imports, also in folders without ``__init__.py``."""
+
+    def find_module(self, name: str, path: Any, parent: Any = None) -> Any:
+        spec = None if name in self.excludes else PathFinder.find_spec(name, path)
+        if spec is None or spec.origin is not None:
+            return super().find_module(name, path, parent)
+        return None, next(iter(spec.submodule_search_locations or ())), _FOLDER
+
+    def load_module(self, fqname: str, fp: Any, pathname: str, file_info: Any) -> Any:
+        if file_info is not _FOLDER:
+            return super().load_module(fqname, fp, pathname, file_info)
+        module: Any = self.add_module(fqname)
+        module.__path__ = [pathname]
+        return module
+
+
 @functools.cache
 def identify_code(controller: ControllerChoice) -> str:
     """Return twelve digits that identify the code of a user's controller; empty if built in.
@@ -203,7 +224,7 @@ def identify_code(controller: ControllerChoice) -> str:
     modules = {controller.path.partition(":")[0], controller.kind.__module__}
     installed = {*sys.stdlib_module_names, *packages_distributions(), "greenroof_ros"}
     own = {name.partition(".")[0] for name in modules}
-    finder = ModuleFinder(excludes=[*installed - own])
+    finder = _Finder(excludes=[*installed - own])
     for name in sorted(modules):
         with suppress(ImportError):  # the class of a script or a notebook
             finder.import_hook(name)

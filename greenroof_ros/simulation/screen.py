@@ -14,6 +14,7 @@ from rich.table import Table
 from greenroof_ros.base.console import PlainConsole
 from greenroof_ros.base.text import escape
 from greenroof_ros.base.times import to_minutes
+from greenroof_ros.controllers.outlet import PLAN
 from greenroof_ros.forecast.choice import PERFECT
 from greenroof_ros.physics.pump import SensorAndPump
 from greenroof_ros.results.metrics import METRICS
@@ -81,8 +82,9 @@ def rows(summary: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
         )
     forecast = dict(summary["forecast"])
     model = forecast.pop("model")
-    if model != PERFECT:
-        yield "forecast", model, _listed(forecast)
+    used = summary["controller"] != "onoff" or summary["parameters"].get("outlet") == PLAN
+    if used or model != PERFECT:
+        yield "forecast", model, _listed(forecast) or "the weather of the run itself"
     if SensorAndPump(**summary["sensor_and_pump"]) != SensorAndPump():
         yield "sensor and pump", "", _listed(summary["sensor_and_pump"])
     factor = f"{summary['times_real_time']:.0f} times real time"

@@ -61,12 +61,15 @@ def answer(report: Report) -> str:
     """Return the answer: the best cases, what one of them achieves, and what the runs cover."""
     runs, won = report.sources.runs, dict[str, list[str]]()
     for place in report.places:
-        won.setdefault(place["case"][0], []).append(place["place"][0])
+        values = place[report.show[0]]
+        alike = sum(math.isclose(value, values[0], rel_tol=1e-6) for value in values[1:])
+        case = place["case"][0] + f" (and {alike} others alike)" * bool(alike)
+        won.setdefault(case, []).append(place["place"][0])
     best, *others = report.places[0].to_dicts()
     winners = ", ".join(
         case + f" ({'; '.join(places)})" * bool(places[0]) for case, places in won.items()
     )
-    told = {best["place"] or best["case"]: best} | {
+    told = {", ".join(filter(None, (best["case"], best["place"]))): best} | {
         case["case"]: case for case in others if case["case"] == runs[0].row["case"]
     }
     return ". ".join([
@@ -87,6 +90,7 @@ def _describe_runs(report: Report) -> str:
         "Site": [run.row["site"] for run in runs], "period": [run.row["window"] for run in runs],
         "seasons": [f"{years.min()!r} to {years.max()!r}"] * bool(len(years)),
         "rain on the roof": [f"{each:.0f} mm" for each in sorted(rain)],
+        "forecasts, if used": [run.row.get("forecast") or "not known" for run in runs],
     }
     return "; ".join(f"{name}: {shorten(', '.join(dict.fromkeys(each)), _MAX_NOTE)}"
                      for name, each in texts.items() if each)

@@ -198,8 +198,9 @@ def describe_outlets(sizes: Sizes) -> tuple[list[Table], list[str]]:
         _tabulate(sizes, f"Outlets, cistern {each:g} m³", "outlet", rows.filter(volume_m3=each))
         for each in dict.fromkeys([nearest, sizes.recommended.volume_m3])
     ]
-    results = {outlet: values for outlet, *values in tables[0].rows}
-    return tables * (len(results) > 1), (results.get(plans.NONE, 0) == results.get(PLAN)) * [
+    wet = dict(rows.filter(volume_m3=nearest)["outlet", "wet_discharge_m3"].iter_rows())
+    alike = {plans.NONE, PLAN} <= wet.keys() and wet[PLAN] > 0.99 * wet[plans.NONE]
+    return tables * (len(wet) > 1), alike * [
         f"With {nearest:g} m³, plan equals none: without a forecast, it keeps 20 days of demand, "
         "more than the cistern holds. With one (greenroof simulate --outlet plan), it makes room."
     ]

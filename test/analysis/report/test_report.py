@@ -110,8 +110,7 @@ def test_water_stress_is_shown_where_it_differs(tmp_path: Path) -> None:
     assert answer(report) == (  # 6.88 m3 on the 68.8 m2 of the paper's roof
         "Best by total deviation: dry. For dry: total deviation 1 m³; water stress 3155 h. "
         "For wet: total deviation 2 m³; water stress 0 h. Site: site.yaml; period: May; "
-        "seasons: 2020 to 2020; "
-        "rain on the roof: 100 mm."
+        "seasons: 2020 to 2020; rain on the roof: 100 mm; forecasts, if used: not known."
     )
     assert [texts[2] for texts in make_table(report, _columns(report)).texts()[:2]] == ["3155", "0"]
     alike = study_of(tmp_path / "alike", *wet, *rows("dry", None, {2020: 1.0}, stress_hours=0.0))

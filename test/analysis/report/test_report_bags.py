@@ -234,7 +234,7 @@ def test_results_of_a_run_that_is_done_are_its_own(tmp_path: Path) -> None:
     for words in ("less water than was demanded", "no solution", "rain was moved", "2 changes"):
         assert words in notes
     assert (run.row["site"], run.row["initial"]) == ("site.yaml", "low-low")
-    assert "onoff, fraction 2.0" in report.sources.read[0]
+    assert "fraction 2.0" in report.sources.read[0]
 
 
 def test_names_state_what_differs(tmp_path: Path) -> None:
