@@ -191,9 +191,6 @@ def compute_bounds(directory: Path, case: Case, show: Sequence[str]) -> dict[str
     return bounds
 
 
-_FOLDER = "", "", -1
-
-
 class _Finder(ModuleFinder):
     """Finds the modules that a module imports, also in folders without ``__init__.py``."""
 
@@ -201,10 +198,10 @@ class _Finder(ModuleFinder):
         spec = None if name in self.excludes else PathFinder.find_spec(name, path)
         if spec is None or spec.origin is not None:
             return super().find_module(name, path, parent)
-        return None, next(iter(spec.submodule_search_locations or ())), _FOLDER
+        return None, next(iter(spec.submodule_search_locations or ())), ("", "", -1)
 
     def load_module(self, fqname: str, fp: Any, pathname: str, file_info: Any) -> Any:
-        if file_info is not _FOLDER:
+        if file_info[2] != -1:  # not a plain folder
             return super().load_module(fqname, fp, pathname, file_info)
         module: Any = self.add_module(fqname)
         module.__path__ = [pathname]

@@ -11,7 +11,7 @@ import json
 import math
 import os
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Container, Iterable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -91,12 +91,18 @@ class AlarmLog:
             self._alarms = read | self._alarms  # if it came late, there are new ones
             self._write_all()
 
-    def add(self, changed: Iterable[Alarm]) -> None:
-        """Print and store alarms; a new level or cause is stored but not printed."""
+    def add(self, changed: Iterable[Alarm], stopped: Container[str] = ()) -> None:
+        """Print and store alarms; a new level or cause is stored but not printed.
+
+        Args:
+            changed: the alarms.
+            stopped: names of the nodes that have stopped, with which their alarms end.
+        """
         for alarm in changed:
             title, text = _name(alarm), describe_alarm(alarm)
             if alarm.ended is not None:
-                self._tell(f"{title} is over, after {alarm.seconds:.1f} s: {text}")
+                how = "was present when its node stopped" if alarm.node in stopped else "is over"
+                self._tell(f"{title} {how}, after {alarm.seconds:.1f} s: {text}")
             elif alarm.number not in self._alarms:
                 roots = "".join(
                     f" (follows from {_name(each)})" for each in self._alarms.values()
@@ -231,7 +237,8 @@ class AlarmsNode(GraphNode):
             )
         starting = self._reports.is_starting(now)
         changed = self._judge.update(now, self._now, diagnoses, starting=starting)
-        self._log.add(changed)
+        nodes = self._reports.nodes.values()
+        self._log.add(changed, [node.name for node in nodes if node.has_ended])
         if self._starting:
             self._list_missing(now, diagnoses)
         if changed or now - self._published >= _PUBLISH_S:

@@ -96,7 +96,7 @@ def make_document(store: GraphStore, steady: float) -> dict[str, Any]:
             },
             "frost": store.present_value("/weather/frost"),
             "tiles": {**tiles, "summary": summary},
-            "advice": _advise(store, tiles["pump"], step, stop), "stop": stop,
+            "advice": _advise(store, step, stop), "stop": stop,
             "alarms": rows[:_MAX_ROWS], "events": _list_events(store)[:_MAX_ROWS],
             "notes": _list_notes(store),
         }
@@ -275,21 +275,21 @@ def _summarize(
     return {"word": word, "sentence": sentence, "text": text, "level": level}, step
 
 
-def _advise(store: GraphStore, pump: Tile, step: str, stop: dict[str, Any]) -> str:
+def _advise(store: GraphStore, step: str, stop: dict[str, Any]) -> str:
     """Return what the page's box states: what is being done to the pump, and the next step.
 
-    The step comes first if the pump may be running.
+    The step comes first if the pump may be running, or the valve open.
     """
     release = ""
     if "release" in stop["actions"]:
-        release = "If it may run again, release it with the button below."
+        release = "If the pump may run again, release it with the button below."
     elif stop["stopped"] and (node := store.pump) is not None:
         command = complete_commands(command_for(node.name, "release"))
         who = store.site.contact and f"ask whoever can release it ({store.site.contact}), or "
-        release = f"If it may run again, {who or ''}release it with: {command}"
+        release = f"If the pump may run again, {who or ''}release it with: {command}"
     said = [stop["hold"] or stop["dose"]["text"], step]
-    said = said[::-1] if pump["state"] == "alarm" else said
-    return " ".join(filter(None, (*said, release)))
+    said = said[::-1] if step.startswith("Go and see") else said
+    return "; ".join(filter(None, (*said, release))).replace(".; ", ". ")
 
 
 # --- the charts -----------------------------------------------------------------------------------

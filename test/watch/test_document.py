@@ -95,7 +95,7 @@ BLIND = OPEN | {"position": None, "flow": None, "open_until": START / SECOND + 1
 VALVE = {"level": "error", "valve": ("may be open", "alarm")}
 # What a person at the pump must do.
 RELEASE, PANEL, SEE, SWITCH_OFF = (
-    "If it may run again, release it with", "stop it at its drive's panel",
+    "If the pump may run again, release it with", "stop it at its drive's panel",
     "Go and see whether the pump is stopped. ", "main switch. Find",
 )
 MAY_RUN = {"pump": ("may be running", "alarm"), "level": "error", "actions": {"stop"}}

@@ -159,13 +159,12 @@ def _describe_settings(about: Mapping[str, Any]) -> dict[str, str]:
     forecast = about.get("forecast")
     if isinstance(forecast, dict):
         forecast = " ".join(str(value) for value in forecast.values() if value is not None)
-    parameters = about.get("parameters", {})
     # First what a person chose, because parameters can follow from the site.
     values = {
-        "outlet": parameters.get("outlet"), "forecast": forecast,
+        "outlet": about.get("parameters", {}).get("outlet"), "forecast": forecast,
         **{name: Path(about[name]).name for name in ("site", "weather") if name in about},
         **{name: about.get(name) for name in CLIMATE}, **about.get("sensor_and_pump", {}),
-    } | parameters
+    } | about.get("parameters", {})
     return {"controller": about.get("controller", "")} | {
         name: f"{name.replace('_', ' ')} {value}" for name, value in values.items()
         if value is not None
