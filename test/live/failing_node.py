@@ -1,6 +1,7 @@
 """Live nodes whose code fails while they run; the first argument states which.
 
 ``alone`` is a process with one node, which stops its device until the file ``stopped`` exists.
+It fails, as the station's, when the file ``observed`` exists, since a test may be late to listen.
 ``station`` is a station whose recorder fails again and again, and ``alarms`` one whose alarms node
 fails.
 """
@@ -25,7 +26,8 @@ class Failing(LiveNode):
         super().__init__("recorder", "recorder")
 
     def on_timer(self, now: float) -> None:
-        print(1 / 0)
+        if Path("observed").exists():
+            print(1 / 0)
 
     def on_stop(self) -> None:
         while kind == "alone" and not Path("stopped").exists():

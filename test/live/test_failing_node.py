@@ -56,6 +56,9 @@ def test_a_node_that_fails_is_reported_and_stops_its_device_with_heartbeats(
             errors.read_text().count("Traceback") == failures and failed() and late == {"/weather"}
         )
 
+    if kind != "alarms":
+        observer.until(lambda: any(each.name == "/recorder" for _, each in reports), LATE, "news")
+        (observer.cwd / "observed").touch()
     if kind == "alone":
         observer.until(failed, LATE, "the cause, before the stop ends")
         for _ in range(3):
