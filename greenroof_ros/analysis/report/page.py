@@ -61,9 +61,9 @@ def answer(report: Report) -> str:
     """Return the answer: the best cases, what one of them achieves, and what the runs cover."""
     runs, won = report.sources.runs, dict[str, list[str]]()
     for place in report.places:
-        values = place[report.show[0]]
+        values = place[report.show[0]].drop_nulls().to_list()
         alike = sum(math.isclose(value, values[0], rel_tol=1e-6) for value in values[1:])
-        case = place["case"][0] + f" (and {alike} others alike)" * bool(alike)
+        case = place["case"][0] + f" (and {number_of(alike, 'other')} alike)" * bool(alike)
         won.setdefault(case, []).append(place["place"][0])
     best, *others = report.places[0].to_dicts()
     winners = ", ".join(

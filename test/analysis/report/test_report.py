@@ -70,6 +70,14 @@ def test_means_by_hand(tmp_path: Path) -> None:
     assert list(figures_of(report)) == ["comparison"]
 
 
+def test_cases_that_are_alike_are_counted(tmp_path: Path) -> None:
+    """Without those of which the result is not known."""
+    values = {"a": 1.0, "b": 1.0 + 1e-9, "c": 2.0, "unknown": None}
+    cases = [row for name, value in values.items() for row in rows(name, None, {2020: value})]
+    report = study_of(tmp_path / "study", *cases)
+    assert answer(report).startswith("Best by total deviation: a (and 1 other alike). ")
+
+
 def test_a_study_shows_what_it_asks(tmp_path: Path) -> None:
     """By default the wet-weather discharge, with all that reaches the sewer, and mains water.
 
